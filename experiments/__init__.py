@@ -1,0 +1,1 @@
+"""Entry points: the sweep, its figures and the benchmark."""

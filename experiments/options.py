@@ -1,0 +1,156 @@
+"""The command line: options with units and defaults, and one clear line for bad input."""
+
+import contextlib
+import dataclasses
+import io
+import itertools
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from typing import Annotated, Any, TypeVar
+
+import tyro
+
+from hitl_jax.config import AgentConfig, Hyper, Method, require, validate_hyper
+from hitl_jax.envs import BACKENDS
+from hitl_jax.rollout import LoopConfig
+
+T = TypeVar("T")
+
+
+class BadInput(Exception):
+    """One line that names the option, the value and what is allowed."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Preset:
+    """How large a sweep is; an option of the same name goes before it."""
+
+    seeds: int
+    episodes: int
+    test_episodes: int
+
+
+PRESETS = {
+    "full": Preset(seeds=10, episodes=1000, test_episodes=100),
+    "quick": Preset(seeds=2, episodes=100, test_episodes=20),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepOptions:
+    """Train SRL, HITL-FIX and HITL-AC over a batch of seeds, test each walker, draw Figures 4-6.
+
+    Attributes:
+        preset: `full` is the paper's comparison (10 seeds, 1000 episodes, 100 test episodes); `quick`
+            is for looking around (2 seeds, 100 episodes, 20 test episodes, a few minutes).
+        methods: which of srl, hitl-fix, hitl-ac to run.
+        seeds: number of seeds for each method (default: the preset's).
+        first_seed: the first of them; the others follow.
+        episodes: training episodes of a run (default: the preset's).
+        test_episodes: test episodes of a run, alone and again with the human (default: the preset's).
+        backend: `gymnasium`, the official walker, or `envpool`, faster, whose terrain cannot be
+            seeded (needs the extra `fast`).
+        workers: processes that step walkers (default: one a core).
+        slots: runs at a time; the others wait. Each takes capacity x 140 bytes of memory.
+        human_policy: a `params.npz` whose actor gives the human's actions (default: gymnasium's
+            scripted walker).
+        out: folder of the results. An interrupted sweep goes on in the same folder.
+        agent: static choices.
+        loop: how much a run plays and learns.
+        hyper: numbers that can differ from run to run.
+    """
+
+    preset: str = "full"
+    methods: tuple[str, ...] = tuple(Method)
+    seeds: int | None = None
+    first_seed: int = 0
+    episodes: int | None = None
+    test_episodes: int | None = None
+    backend: str = "gymnasium"
+    workers: int | None = None
+    slots: int = 32
+    human_policy: str | None = None
+    out: str = "runs/sweep"
+    agent: Annotated[AgentConfig, tyro.conf.arg(name="")] = AgentConfig()
+    loop: Annotated[LoopConfig, tyro.conf.arg(name="")] = LoopConfig()
+    hyper: Annotated[Hyper, tyro.conf.arg(name="")] = Hyper()
+
+    def resolved(self) -> "SweepOptions":
+        """Fills in the preset and checks everything that can be checked before work starts.
+
+        Raises:
+            ValueError: one line with the option, the value and what is allowed.
+        """
+        if self.preset not in PRESETS:
+            raise ValueError(f"--preset {self.preset}: must be one of {', '.join(PRESETS)}")
+        if self.backend not in BACKENDS:
+            raise ValueError(f"--backend {self.backend}: must be one of {', '.join(BACKENDS)}")
+        known = list(Method)
+        if not self.methods or any(method not in known for method in self.methods):
+            given = " ".join(self.methods) or "(none)"
+            raise ValueError(f"--methods {given}: must be some of {', '.join(known)}")
+        if len(set(self.methods)) < len(self.methods):
+            raise ValueError(f"--methods {' '.join(self.methods)}: each at most once")
+        preset = PRESETS[self.preset]
+        filled: dict[str, Any] = {}
+        for field in dataclasses.fields(preset):
+            value = getattr(self, field.name)
+            filled[field.name] = getattr(preset, field.name) if value is None else value
+            require(field.name, filled[field.name], at_least=1)
+        require("first_seed", self.first_seed, at_least=0)
+        require("slots", self.slots, at_least=1)
+        if self.workers is not None:
+            require("workers", self.workers, at_least=1)
+        validate_hyper(self.hyper)
+        loop = dataclasses.replace(self.loop, episodes=filled["episodes"])
+        loop.num_updates(self.agent.policy_delay)
+        return dataclasses.replace(self, loop=loop, **filled)
+
+
+def run_main(options: type[T], main: Callable[[T], int], args: Sequence[str] | None = None) -> int:
+    """Parses the command line and runs `main`; bad input is one line on stderr and exit code 2.
+
+    Args:
+        options: a dataclass of options.
+        main: does the work and returns an exit code; may raise BadInput.
+        args: the command line (default: the process's).
+    """
+    try:
+        return main(parse(options, args))
+    except BadInput as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+@contextlib.contextmanager
+def checking_input() -> Iterator[None]:
+    """Turns what the library says of a bad value into BadInput; only for checks, not for work."""
+    try:
+        yield
+    except (ValueError, ImportError) as error:
+        raise BadInput(" ".join(str(error).split())) from error
+
+
+def parse(options: type[T], args: Sequence[str] | None = None) -> T:
+    """The options of a command line.
+
+    tyro explains a bad command line in a framed box; this says the same in one line.
+
+    Raises:
+        BadInput: what is wrong, in one line.
+    """
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            return tyro.cli(options, args=args)
+    except SystemExit as stop:
+        if stop.code in (0, None):
+            raise
+        raise BadInput(_one_line(said.getvalue())) from stop
+
+
+def _one_line(box: str) -> str:
+    """The message of tyro's box: what stands above its first rule, without the frame."""
+    lines = [line.strip("│ ").strip() for line in box.splitlines()]
+    message = list(itertools.takewhile(lambda line: not line.startswith("──"), lines[1:]))
+    return " ".join(line for line in message if line)

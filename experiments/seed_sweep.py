@@ -1,0 +1,225 @@
+"""The main job: `python -m experiments.seed_sweep`.
+
+Trains SRL, HITL-FIX and HITL-AC over a batch of seeds on Box2D's BipedalWalker-v3, tests each trained
+walker, and writes tables and Figures 4 to 6. Started again in the same folder it skips what is done.
+"""
+
+import dataclasses
+import math
+import shlex
+import subprocess
+import sys
+import time
+from typing import Any
+
+import jax
+import numpy as np
+
+from experiments.devices import use_all_cores
+from experiments.options import SweepOptions, checking_input, run_main
+from experiments.progress import Progress
+from hitl_jax import batch, checkpoint, figures, human_actions
+from hitl_jax.agent import Agent, make_agent
+from hitl_jax.config import Method, hyper_for
+from hitl_jax.envs import make_pool
+from hitl_jax.evaluation import Evaluator, Mode
+from hitl_jax.networks import Actor
+from hitl_jax.provenance import git_commit, versions
+from hitl_jax.results import ResultsFolder, RunKey
+from hitl_jax.rollout import FinishedRun, Rollout, RunSpec, episode_seed, method_index
+from hitl_jax.summary import write_summary
+from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
+from hitl_jax.types import Behavior
+
+FIRST_FIGURES_SECONDS = 100.0
+FIGURES_SECONDS = 120.0
+STATISTICS_SEED = 0
+"""Seed of the bootstrap: the same data give the same intervals."""
+
+
+def main(options: SweepOptions) -> int:
+    """Runs a sweep.
+
+    Args:
+        options: what to run.
+
+    Returns:
+        The exit code: 0, or 130 after Ctrl-C.
+    """
+    with checking_input():
+        options = options.resolved()
+        agent = _make_agent(options)
+        folder = ResultsFolder(options.out)
+        config = _config(options)
+        if options.backend == "envpool":
+            make_pool("envpool", 1).close()  # a missing extra is noticed before the folder is made
+        folder.create_or_resume(config, shlex.join(["python", "-m", "experiments.seed_sweep", *sys.argv[1:]]))
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    wanted = [RunSpec(Method(m), seed, hyper_for(Method(m), options.hyper)) for seed in seeds for m in options.methods]
+    finished = folder.finished()
+    specs = [spec for spec in wanted if RunKey(spec.method, spec.seed) not in finished]
+    use_all_cores()
+    sweep = _Sweep(options, agent, folder, config, len(wanted), specs)
+    try:
+        if specs:
+            sweep.run()
+    except KeyboardInterrupt:
+        sweep.save_partial()
+        _draw(folder)
+        print(
+            f"\nStopped. Figures and tables of what there is: {options.out}. The same command goes on "
+            "with the runs that are not finished.",
+            flush=True,
+        )
+        return 130
+    for path in _draw(folder):
+        print(path)
+    return 0
+
+
+class _Sweep:
+    """The runs that are left to do, with all that happens around them."""
+
+    def __init__(
+        self,
+        options: SweepOptions,
+        agent: Agent,
+        folder: ResultsFolder,
+        config: dict[str, Any],
+        num_runs: int,
+        specs: list[RunSpec],
+    ):
+        self._options = options
+        self._agent = agent
+        self._folder = folder
+        self._config = config
+        self._specs = specs
+        self._rollout: Rollout | None = None
+        self._drawing: subprocess.Popen | None = None
+        self._started = time.monotonic()
+        self._draw_at = self._started + FIRST_FIGURES_SECONDS
+        self._provenance = {"versions": versions(), "commit": git_commit()}
+        self._progress = Progress(
+            options.methods, num_runs, options.loop.episodes, num_runs - len(specs)
+        )
+
+    def run(self) -> None:
+        """Trains, tests and writes every run."""
+        options = self._options
+        devices = jax.device_count()
+        slots = math.ceil(min(len(self._specs), options.slots) / devices) * devices
+        with (
+            make_pool(options.backend, slots, options.workers) as pool,
+            make_pool(options.backend, options.test_episodes, options.workers) as test_pool,
+            self._progress as progress,
+        ):
+            progress.say(
+                f"{len(self._specs)} runs in {slots} slots on {devices} {jax.default_backend()} "
+                f"devices; results in {options.out}"
+            )
+            evaluator = Evaluator(self._agent, test_pool)
+            self._rollout = Rollout(self._agent, self._specs, pool, options.loop)
+            for done in self._rollout:
+                for finished in done:
+                    self._finish(finished, evaluator)
+                progress.show(self._rollout.runs())
+                self._draw_now_and_then()
+        if self._drawing is not None:
+            self._drawing.wait()
+
+    def save_partial(self) -> None:
+        """Writes the episodes of the runs under way, for the figures."""
+        for run in self._rollout.runs() if self._rollout else []:
+            if run.episodes:
+                key = RunKey(run.spec.method, run.spec.seed)
+                self._folder.write_partial(key, _columns(run.episodes, EPISODE_COLUMNS))
+
+    def _finish(self, finished: FinishedRun, evaluator: Evaluator) -> None:
+        """Tests a trained run and writes it."""
+        run = finished.run
+        spec = run.spec
+        *_, test_key = batch.run_keys(spec.seed, method_index(spec.method))
+        params = Behavior(
+            actor=finished.train.learner.actor, boundary_actor=finished.train.boundary.actor
+        )
+        # The same terrain for every method: a paired comparison needs fewer episodes.
+        numbers = range(self._options.test_episodes)
+        seeds = np.array([episode_seed("test", spec.seed, number) for number in numbers], np.uint32)
+        modes: tuple[Mode, ...] = ("autonomous", "assisted")
+        if spec.method is Method.SRL:
+            modes = ("autonomous",)  # without an arbiter nobody can be asked
+        tests = [
+            row
+            for mode in modes
+            for row in evaluator.evaluate(
+                mode, spec.hyper, params, finished.boundary, test_key, seeds
+            )
+        ]
+        info = {
+            "config": self._config,
+            "wall_seconds": time.monotonic() - self._started,
+            "env_steps": run.env_steps,
+            "updates": run.updates,
+            **self._provenance,
+        }
+        key = RunKey(spec.method, spec.seed)
+        arrays = checkpoint.flatten(finished.train, finished.boundary)
+        self._folder.save_run(key, _columns(run.episodes, EPISODE_COLUMNS), _columns(tests, TEST_COLUMNS), arrays, info)
+        self._folder.remove_partial(key)
+        self._progress.finish(run)
+        alone = np.mean([row["return"] for row in tests if row["mode"] == "autonomous"])
+        self._progress.say(
+            f"finished {spec.method} seed {spec.seed}: {run.env_steps:,} steps, "
+            f"test return {alone:.1f} over {len(numbers)} episodes"
+        )
+
+    def _draw_now_and_then(self) -> None:
+        """Draws in another process, so that training does not wait."""
+        if time.monotonic() < self._draw_at or (self._drawing and self._drawing.poll() is None):
+            return
+        self.save_partial()
+        command = [sys.executable, "-m", "experiments.figures", self._options.out]
+        self._drawing = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+        )
+        self._draw_at = time.monotonic() + FIGURES_SECONDS
+
+
+def _make_agent(options: SweepOptions) -> Agent:
+    """The team that the options describe."""
+    config = options.agent
+    source = None
+    if options.human_policy is not None:
+        actor = checkpoint.load_actor(
+            options.human_policy, config.observation_size, config.action_size
+        )
+        *hidden, size = checkpoint.hidden_sizes(actor)
+        source = human_actions.policy(Actor(tuple(hidden), size).apply, actor)
+    return make_agent(config, source=source)
+
+
+def _config(options: SweepOptions) -> dict[str, Any]:
+    """All that defines a run's numbers besides its method and seed."""
+    return {
+        "backend": options.backend,
+        "test_episodes": options.test_episodes,
+        "human_policy": options.human_policy,
+        "agent": dataclasses.asdict(options.agent),
+        "loop": dataclasses.asdict(options.loop),
+        "hyper": dataclasses.asdict(options.hyper),  # type: ignore[call-overload]
+    }
+
+
+def _columns(rows: list[dict[str, Any]], names: tuple[str, ...]) -> dict[str, list[Any]]:
+    return {name: [row[name] for row in rows] for name in names}
+
+
+def _draw(folder: ResultsFolder) -> list[Any]:
+    """Writes summary and figures; the paths written."""
+    rng = np.random.default_rng(STATISTICS_SEED)
+    write_summary(folder, rng)
+    return figures.draw_all(folder, rng)
+
+
+if __name__ == "__main__":
+    sys.exit(run_main(SweepOptions, main))

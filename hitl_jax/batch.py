@@ -1,0 +1,286 @@
+"""The one place where runs are vmapped: programs over R runs that share nothing but the ring's cursor.
+
+Learning. The run axis is sharded over the devices of a mesh: two CPU devices keep two cores busy
+better than one device with two threads, since a small matrix product does not split well. On each
+device a loop takes the runs that are to learn in tiles of a few (`vmap` within a tile), and makes all
+updates of a call on one tile before the next, so that a tile's parameters stay in cache. Which runs
+learn, and how many, are arguments: a run that has finished or is still warming up costs nothing, and
+nothing is compiled again. A tile that is not full is filled up with copies of its first run.
+
+Acting. One small program for all runs on one device, called once a tick by the host loop.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import chex
+import jax
+import jax.numpy as jnp
+from jax.sharding import Mesh, NamedSharding
+from jax.sharding import PartitionSpec as P
+
+from hitl_jax import agent as agents
+from hitl_jax import replay
+from hitl_jax.agent import ActingState, Agent
+from hitl_jax.config import RunHyper
+from hitl_jax.types import Behavior, TrainState
+
+AXIS = "runs"
+
+EXTRA_COLUMNS = ("control", "began", "human_action", "human_reset", "alarmed", "dangerous")
+"""Columns of a packed decision behind those of the frame, in this order; each 0 or 1."""
+
+
+class Seats(NamedTuple):
+    """Everything on the learning devices, leaves [R, ...] sharded over runs but for the cursor.
+
+    Attributes:
+        train: training states.
+        hyper: hyperparameters.
+        memory: the replay.
+    """
+
+    train: TrainState
+    hyper: RunHyper
+    memory: replay.Replay
+
+
+class Acting(NamedTuple):
+    """Everything on the acting device, leaves [R, ...].
+
+    Attributes:
+        state: acting states.
+        hyper: hyperparameters.
+    """
+
+    state: ActingState
+    hyper: RunHyper
+
+
+class Programs(NamedTuple):
+    """The compiled programs of one batch of runs.
+
+    Attributes:
+        seat: (seats, slot, hyper, key) to seats with a fresh run in `slot`; donates.
+        seat_acting: (acting, slot, hyper, key) to acting with a fresh run in `slot`; donates.
+        act: (acting, behavior, observation [R, O], live bool [R]) to (acting, packed [R, W + 6]).
+        learn: (seats, frames [R, U, W], slots int32 [R], count int32 [D]) to (seats, behavior);
+            donates the seats.
+    """
+
+    seat: Callable[..., Seats]
+    seat_acting: Callable[..., Acting]
+    act: Callable[..., tuple[Acting, chex.Array]]
+    learn: Callable[..., tuple[Seats, Behavior]]
+
+
+def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, chex.PRNGKey]:
+    """Keys for learning, acting and testing of a run: from its method and seed alone."""
+    key = jax.random.fold_in(jax.random.key(seed), method_index)
+    learning, acting, testing = jax.random.split(key, 3)
+    return learning, acting, testing
+
+
+def make_mesh(devices: list[jax.Device] | None = None) -> Mesh:
+    """A mesh of one axis, `runs`, over the given devices (all, by default)."""
+    devices = devices or jax.devices()
+    return jax.make_mesh((len(devices),), (AXIS,), devices=devices)
+
+
+def empty_seats(agent: Agent, num_runs: int, capacity: int, mesh: Mesh, like: RunHyper) -> Seats:
+    """Seats without runs, placed on the mesh.
+
+    Args:
+        agent: the team.
+        num_runs: R, a multiple of the mesh's size.
+        capacity: T, frames in the ring of each run.
+        mesh: one axis `runs`.
+        like: hyperparameters whose types are taken over.
+
+    Raises:
+        ValueError: if R is no multiple of the mesh's size.
+    """
+    if num_runs % mesh.size:
+        raise ValueError(f"{num_runs} runs do not divide over {mesh.size} devices")
+
+    def make() -> Seats:
+        train = agents.init(agent, jax.random.key(0))
+        return Seats(
+            train=_rows(train, num_runs),
+            hyper=_rows(like, num_runs),
+            memory=replay.init(capacity, num_runs, agent.layout),
+        )
+
+    return jax.jit(make, out_shardings=_seat_shardings(mesh))()
+
+
+def empty_acting(agent: Agent, num_runs: int, device: jax.Device, like: RunHyper) -> Acting:
+    """Acting without runs, placed on one device.
+
+    Args:
+        agent: the team.
+        num_runs: R.
+        device: where acting happens.
+        like: hyperparameters whose types are taken over.
+    """
+
+    def make() -> Acting:
+        state = agents.init_acting(agent, like, jax.random.key(0))
+        return Acting(state=_rows(state, num_runs), hyper=_rows(like, num_runs))
+
+    return jax.jit(make, out_shardings=jax.sharding.SingleDeviceSharding(device))()
+
+
+def make_programs(agent: Agent, mesh: Mesh, num_updates: int, tile: int) -> Programs:
+    """Compiles lazily: each program at its first call.
+
+    Args:
+        agent: the team.
+        mesh: one axis `runs`.
+        num_updates: updates of the task learner in one call of `learn`.
+        tile: runs that are vmapped together; fewer keep the cache, more feed a GPU.
+    """
+
+    def seat(seats: Seats, slot: chex.Array, hyper: RunHyper, key: chex.PRNGKey) -> Seats:
+        return Seats(
+            train=_put(seats.train, slot, agents.init(agent, key)),
+            hyper=_put(seats.hyper, slot, hyper),
+            memory=replay.begin_run(seats.memory, slot),
+        )
+
+    def seat_acting(acting: Acting, slot: chex.Array, hyper: RunHyper, key: chex.PRNGKey) -> Acting:
+        return Acting(
+            state=_put(acting.state, slot, agents.init_acting(agent, hyper, key)),
+            hyper=_put(acting.hyper, slot, hyper),
+        )
+
+    learn = functools.partial(_learn_local, agent, num_updates, tile)
+    specs = _seat_specs()
+    learn = jax.shard_map(
+        learn,
+        mesh=mesh,
+        in_specs=(specs, P(AXIS), P(AXIS), P(AXIS)),
+        out_specs=(specs, P(AXIS)),
+        check_vma=False,
+    )
+    return Programs(
+        seat=jax.jit(seat, donate_argnums=0, out_shardings=_seat_shardings(mesh)),
+        seat_acting=jax.jit(seat_acting, donate_argnums=0),
+        act=jax.jit(functools.partial(_act_all, agent), donate_argnums=0),
+        learn=jax.jit(learn, donate_argnums=0),
+    )
+
+
+def act_or_begin(
+    agent: Agent,
+    hyper: RunHyper,
+    params: Behavior,
+    state: ActingState,
+    observation: chex.Array,
+    live: chex.Array,
+) -> tuple[ActingState, chex.Array]:
+    """One tick of one run: a step where it is live, else the forgetting before an episode.
+
+    Args:
+        agent: the team.
+        hyper: scalars.
+        params: what acting needs.
+        state: the acting state.
+        observation: s_t, [O].
+        live: whether a step is taken at this tick, bool [].
+
+    Returns:
+        The next acting state, and the packed frame with the decision behind it, [W + 6]: without the
+        reward and the endings, which the plant has yet to tell.
+    """
+    stepped, decision = agents.act(agent, hyper, params, state, observation)
+    begun = agents.begin_episode(agent, state)
+    state = jax.tree.map(functools.partial(jnp.where, live), stepped, begun)
+    zero = jnp.zeros((), jnp.float32)
+    scalars = [zero, zero, zero, 1.0 - live, decision.boundary, decision.next_boundary]
+    scalars += [decision.boundary_reward, *(getattr(decision, name) for name in EXTRA_COLUMNS)]
+    tail = jnp.stack([jnp.asarray(value, jnp.float32) for value in scalars])
+    return state, jnp.concatenate([observation, decision.action, tail])
+
+
+def _act_all(
+    agent: Agent, acting: Acting, params: Behavior, observation: chex.Array, live: chex.Array
+) -> tuple[Acting, chex.Array]:
+    step = functools.partial(act_or_begin, agent)
+    state, packed = jax.vmap(step)(acting.hyper, params, acting.state, observation, live)
+    return Acting(state=state, hyper=acting.hyper), packed
+
+
+def _learn_local(
+    agent: Agent,
+    num_updates: int,
+    tile: int,
+    seats: Seats,
+    frames: chex.Array,
+    slots: chex.Array,
+    count: chex.Array,
+) -> tuple[Seats, Behavior]:
+    """`learn` on one device: its own runs, its own list of slots, its own count [1]."""
+    memory = replay.add(seats.memory, frames)
+    num_runs = slots.shape[0]
+    tile = min(tile, num_runs)
+    slots = jnp.concatenate([slots, jnp.zeros((tile,), slots.dtype)])
+    one = functools.partial(agents.learn, agent, num_updates=num_updates)
+    several = jax.vmap(one, in_axes=(0, 0, None, 0))
+
+    def learn_tile(index: chex.Array, train: TrainState) -> TrainState:
+        chosen = jax.lax.dynamic_slice_in_dim(slots, index * tile, tile)
+        filled = index * tile + jnp.arange(tile) < count[0]
+        chosen = jnp.where(filled, chosen, chosen[0])
+        rows = jax.tree.map(functools.partial(_take, chosen), (seats.hyper, train))
+        return jax.tree.map(functools.partial(_give, chosen), train, several(*rows, memory, chosen))
+
+    tiles = (count[0] + tile - 1) // tile
+    train = jax.lax.fori_loop(0, tiles, learn_tile, seats.train)
+    return Seats(train=train, hyper=seats.hyper, memory=memory), agents.behavior(train)
+
+
+def _take(chosen: chex.Array, leaf: chex.Array) -> chex.Array:
+    """Rows of a leaf as slices: on a CPU a gather of rows is many times slower."""
+    return jnp.stack([leaf[index] for index in chosen])
+
+
+def _give(chosen: chex.Array, leaf: chex.Array, rows: chex.Array) -> chex.Array:
+    """The leaf with some rows replaced, as slices, in place within a loop."""
+    for index, row in zip(chosen, rows, strict=True):
+        leaf = jax.lax.dynamic_update_index_in_dim(leaf, row, index, 0)
+    return leaf
+
+
+def _rows(tree: chex.ArrayTree, num_runs: int) -> chex.ArrayTree:
+    """R copies of one run's pytree."""
+
+    def repeat(leaf: chex.Array) -> chex.Array:
+        leaf = jnp.asarray(leaf)
+        return jnp.broadcast_to(leaf, (num_runs, *leaf.shape))
+
+    return jax.tree.map(repeat, tree)
+
+
+def _put(tree: chex.ArrayTree, slot: chex.Array, row: chex.ArrayTree) -> chex.ArrayTree:
+    """The batch with one run's rows replaced."""
+
+    def put(leaf: chex.Array, value: chex.Array) -> chex.Array:
+        if not jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+            value = jnp.asarray(value, leaf.dtype)
+        return leaf.at[slot].set(value)
+
+    return jax.tree.map(put, tree, row)
+
+
+def _seat_specs() -> Seats:
+    memory = replay.Replay(frames=P(AXIS), cursor=P(), start=P(AXIS))  # type: ignore[arg-type]
+    return Seats(train=P(AXIS), hyper=P(AXIS), memory=memory)  # type: ignore[arg-type]
+
+
+def _seat_shardings(mesh: Mesh) -> Seats:
+    specs = _seat_specs()
+    return jax.tree.map(
+        lambda spec: NamedSharding(mesh, spec), specs, is_leaf=lambda leaf: isinstance(leaf, P)
+    )

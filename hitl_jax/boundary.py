@@ -1,0 +1,179 @@
+"""Algorithm 1: the alarm, the Δ rule, and the actor-critic that learns the boundary."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import chex
+import jax
+import jax.numpy as jnp
+
+from hitl_jax.types import BoundaryTransition, Params
+
+Metrics = dict[str, chex.Array]
+
+
+def alarm(safety_indicator: chex.Array, boundary: chex.Array) -> chex.Array:
+    """C = {c_t ≥ |τ_t| or c_t ≤ −|τ_t|} (line 7).
+
+    Args:
+        safety_indicator: c_t, [].
+        boundary: τ_t in the same unit, [].
+
+    Returns:
+        Whether the alarm is raised, bool [].
+    """
+    chex.assert_equal_shape([safety_indicator, boundary])
+    return jnp.abs(safety_indicator) >= jnp.abs(boundary)
+
+
+def next_boundary(
+    boundary: chex.Array,
+    alarmed: chex.Array,
+    dangerous: chex.Array,
+    delta_minus: chex.Array,
+    delta_plus: chex.Array,
+) -> chex.Array:
+    """τ_{t+1}: τ_t − Δ⁻ after a true alarm, τ_t + Δ⁺ after a false one, else τ_t (line 8).
+
+    The drift is Δ⁺ P(C, h=1) − Δ⁻ P(C, h=0): the boundary settles where the share of true alarms is
+    Δ⁺ / (Δ⁻ + Δ⁺). The paper has Δ⁻ = Δ⁺ = 0.001.
+
+    Args:
+        boundary: τ_t, [].
+        alarmed: C, bool [].
+        dangerous: h_t = 0, bool [].
+        delta_minus: Δ⁻, [].
+        delta_plus: Δ⁺, [].
+
+    Returns:
+        τ_{t+1}, [].
+    """
+    change = jnp.where(dangerous, -delta_minus, delta_plus)
+    return boundary + jnp.where(alarmed, change, 0.0)
+
+
+def boundary_reward(
+    alarmed: chex.Array, dangerous: chex.Array, alarm_reward: chex.Array
+) -> chex.Array:
+    """r'_t: +ρ for a true alarm, −ρ for a false one, 0 otherwise (line 8, and section III).
+
+    Args:
+        alarmed: C, bool [].
+        dangerous: h_t = 0, bool [].
+        alarm_reward: ρ, []; 0 gives the bare equation (7).
+
+    Returns:
+        r'_t, [].
+    """
+    return jnp.where(alarmed, jnp.where(dangerous, alarm_reward, -alarm_reward), 0.0)
+
+
+class BoundarySource(NamedTuple):
+    """One reading of how line 6 (the network) and line 8 (the Δ rule) meet.
+
+    `carry` is a scalar that lasts over the episodes of a run.
+
+    Attributes:
+        init: maps τ_0 to the first carry.
+        boundary: maps (carry, π_θ(s_t)) to τ_t.
+        advance: maps (carry, τ_t, τ_{t+1}) to the next carry.
+    """
+
+    init: Callable[[chex.Array], chex.Array]
+    boundary: Callable[[chex.Array, chex.Array], chex.Array]
+    advance: Callable[[chex.Array, chex.Array, chex.Array], chex.Array]
+
+
+def _network() -> BoundarySource:
+    """τ_t = π_θ(s_t); τ_{t+1} enters the TD target only (the literal reading)."""
+    return BoundarySource(
+        init=jnp.zeros_like,
+        boundary=lambda carry, network: network,
+        advance=lambda carry, now, after: carry,
+    )
+
+
+def _residual() -> BoundarySource:
+    """τ_t = π_θ(s_t) + b_t, where b_t gathers line 8's steps."""
+    return BoundarySource(
+        init=jnp.zeros_like,
+        boundary=lambda carry, network: network + carry,
+        advance=lambda carry, now, after: carry + after - now,
+    )
+
+
+def _rule() -> BoundarySource:
+    """τ is the scalar that line 8 moves; the networks are trained but not executed."""
+    return BoundarySource(
+        init=lambda initial: initial,
+        boundary=lambda carry, network: carry,
+        advance=lambda carry, now, after: after,
+    )
+
+
+_SOURCES: dict[str, Callable[[], BoundarySource]] = {
+    "network": _network,
+    "residual": _residual,
+    "rule": _rule,
+}
+
+
+def get_source(name: str) -> BoundarySource:
+    """The boundary source called `network`, `residual` or `rule`.
+
+    Raises:
+        ValueError: for any other name.
+    """
+    if name not in _SOURCES:
+        raise ValueError(f"boundary source {name}: must be one of {', '.join(_SOURCES)}")
+    return _SOURCES[name]()
+
+
+def boundary_critic_loss(
+    critic: Params,
+    apply: Callable[[Params, chex.Array, chex.Array], chex.Array],
+    sample: BoundaryTransition,
+) -> tuple[chex.Array, Metrics]:
+    """CLoss = mean (Q_ω(s_i, τ_i) − [r_i + γ Q_ω(s_{i+1}, τ_{i+1})])² (lines 10 and 11).
+
+    The target carries no gradient; the bootstrap is masked after a terminated step.
+
+    Args:
+        critic: ω.
+        apply: maps (ω, [N, O], [N]) to values [N].
+        sample: minibatch of the pool D, leading axis N.
+
+    Returns:
+        The loss [] and the metric `boundary_critic_loss`.
+    """
+    following = apply(critic, sample.next_observation, sample.next_boundary)
+    chex.assert_equal_shape([sample.reward, sample.discount, following])
+    target = jax.lax.stop_gradient(sample.reward + sample.discount * following)
+    value = apply(critic, sample.observation, sample.boundary)
+    loss = jnp.mean(jnp.square(value - target))
+    return loss, {"boundary_critic_loss": loss}
+
+
+def boundary_actor_loss(
+    actor: Params,
+    apply_actor: Callable[[Params, chex.Array], chex.Array],
+    apply_critic: Callable[[Params, chex.Array, chex.Array], chex.Array],
+    critic: Params,
+    observation: chex.Array,
+) -> tuple[chex.Array, Metrics]:
+    """−mean Q_ω(s_i, π_θ(s_i)): line 12 ascends it.
+
+    The paper prints Q_ω(s_i, τ_i); its gradient in θ needs τ_i = π_θ(s_i).
+
+    Args:
+        actor: θ.
+        apply_actor: maps (θ, [N, O]) to boundaries [N].
+        apply_critic: maps (ω, [N, O], [N]) to values [N].
+        critic: ω.
+        observation: s_i, [N, O].
+
+    Returns:
+        The loss [] and the metric `boundary_actor_loss`.
+    """
+    loss = -jnp.mean(apply_critic(critic, observation, apply_actor(actor, observation)))
+    return loss, {"boundary_actor_loss": loss}

@@ -1,0 +1,226 @@
+"""What a run is made of: static choices, traced hyperparameters, and their validation.
+
+A static choice (`AgentConfig`) changes the compiled program. A traced hyperparameter (`Hyper`) is a
+number that the program takes as an argument, so that one program can sweep it along the run axis.
+"""
+
+import dataclasses
+import enum
+import math
+
+from flax import struct
+
+from hitl_jax.human import DANGER_MODELS, HumanParams, validate_human_params
+from hitl_jax.indicator import INDICATORS
+
+LEARNERS = ("ddpg", "td3")
+BOUNDARY_SOURCES = ("network", "residual", "rule")
+INTERVENTIONS = ("reset", "takeover", "penalty")
+FEEDBACK_SCHEDULES = ("step", "episode")
+
+
+class Method(enum.StrEnum):
+    """The three methods that the paper compares; they differ by the boundary alone."""
+
+    SRL = "srl"
+    HITL_FIX = "hitl-fix"
+    HITL_AC = "hitl-ac"
+
+
+@dataclasses.dataclass(frozen=True)
+class AgentConfig:
+    """Static choices: another value means another compiled program.
+
+    Attributes:
+        learner: `ddpg` (one critic, plain target) or `td3` (two, smoothed target, delayed actor).
+        hidden_sizes: widths of the task networks' hidden layers.
+        batch_size: transitions in a minibatch of the task learner.
+        n_step: steps of reward before the bootstrap.
+        boundary_source: how line 6 and line 8 of Algorithm 1 meet: `network`, `residual`, `rule`.
+        boundary_hidden_sizes: widths of the boundary networks' hidden layers.
+        boundary_batch_size: samples in a minibatch of the boundary learner.
+        indicator: name of the safety indicator c_t.
+        danger: the simulated human's test of danger: `threshold` or `predictive`.
+        intervention: what a human intervention does: `reset`, `takeover`, `penalty`.
+        feedback_schedule: r(s, a^h) at each intervened `step`, or once an `episode`, at its end.
+        human_reset_terminates: whether a human reset ends the bootstrap.
+        observation_size: length of an observation.
+        action_size: length of an action.
+    """
+
+    learner: str = "td3"
+    hidden_sizes: tuple[int, ...] = (128, 128)
+    batch_size: int = 128
+    n_step: int = 4
+    boundary_source: str = "rule"
+    boundary_hidden_sizes: tuple[int, ...] = (32, 32)
+    boundary_batch_size: int = 64
+    indicator: str = "hull_angle"
+    danger: str = "threshold"
+    intervention: str = "reset"
+    feedback_schedule: str = "step"
+    human_reset_terminates: bool = True
+    observation_size: int = 24
+    action_size: int = 4
+
+    def __post_init__(self) -> None:
+        """Checks every choice; ValueError names the option, the value and what is allowed."""
+        _one_of("learner", self.learner, LEARNERS)
+        _one_of("boundary-source", self.boundary_source, BOUNDARY_SOURCES)
+        _one_of("indicator", self.indicator, tuple(INDICATORS))
+        _one_of("danger", self.danger, tuple(DANGER_MODELS))
+        _one_of("intervention", self.intervention, INTERVENTIONS)
+        _one_of("feedback-schedule", self.feedback_schedule, FEEDBACK_SCHEDULES)
+        for name in ("batch_size", "n_step", "boundary_batch_size", "observation_size"):
+            require(name, getattr(self, name), at_least=1)
+        for name in ("hidden_sizes", "boundary_hidden_sizes"):
+            sizes = getattr(self, name)
+            if not sizes or any(size < 1 for size in sizes):
+                raise ValueError(f"{_option(name)} {sizes}: at least one layer, each of 1 or more")
+
+    @property
+    def num_critics(self) -> int:
+        """Critics of the task learner: TD3 takes the smaller of two."""
+        return 2 if self.learner == "td3" else 1
+
+    @property
+    def policy_delay(self) -> int:
+        """Critic updates to one actor update."""
+        return 2 if self.learner == "td3" else 1
+
+    @property
+    def smooths_target(self) -> bool:
+        """Whether noise is added to the target action."""
+        return self.learner == "td3"
+
+
+@struct.dataclass
+class Hyper:
+    """Traced hyperparameters of one run; every field is a scalar, or [R] for a batch of runs.
+
+    Attributes:
+        actor_learning_rate: Adam's step size for μ.
+        critic_learning_rate: Adam's step size for Q.
+        target_step_size: Polyak step of the targets, a share a step.
+        gamma: discount of one environment step.
+        target_noise: standard deviation of TD3's target smoothing, in units of action.
+        target_noise_clip: bound of that noise.
+        exploration_noise: standard deviation of the action noise.
+        noise_correlation: correlation of the action noise from step to step; 0 is white.
+        warmup_steps: environment steps of uniformly random actions before learning.
+        initial_boundary: τ_0 [rad].
+        delta_minus: Δ⁻, what a true alarm takes from the boundary [rad].
+        delta_plus: Δ⁺, what a false alarm adds to it [rad].
+        boundary_low: least boundary [rad].
+        boundary_high: greatest boundary [rad].
+        boundary_noise: standard deviation of the exploration of π_θ [rad].
+        boundary_actor_learning_rate: α^θ.
+        boundary_critic_learning_rate: α^ω.
+        alarm_reward: ρ, the size of r'_t.
+        feedback: r(s, a^h), negative for a punishment.
+        takeover_steps: least number of steps that a takeover lasts.
+        human_action_noise: standard deviation of the noise on a^h.
+        human: the simulated human's parameters.
+    """
+
+    actor_learning_rate: float = 1e-3
+    critic_learning_rate: float = 1e-3
+    target_step_size: float = 0.005
+    gamma: float = 0.98
+    target_noise: float = 0.2
+    target_noise_clip: float = 0.5
+    exploration_noise: float = 0.2
+    noise_correlation: float = 0.0
+    warmup_steps: int = 5000
+    initial_boundary: float = 0.7
+    delta_minus: float = 1e-3
+    delta_plus: float = 1e-3
+    boundary_low: float = 0.05
+    boundary_high: float = 1.5
+    boundary_noise: float = 0.02
+    boundary_actor_learning_rate: float = 1e-4
+    boundary_critic_learning_rate: float = 1e-3
+    alarm_reward: float = 1.0
+    feedback: float = -20.0
+    takeover_steps: int = 10
+    human_action_noise: float = 0.0
+    human: HumanParams = struct.field(default_factory=HumanParams)
+
+
+@struct.dataclass
+class RunHyper(Hyper):
+    """The hyperparameters of one run of one method: what the pure functions take.
+
+    Attributes:
+        has_arbiter: 1 where an arbiter and a human are in the loop (HITL-FIX, HITL-AC).
+        learns_boundary: 1 where the boundary is learned (HITL-AC).
+        human_present: 1 where the human may intervene; 0 in an autonomous test, where alarms and
+            judgements are recorded but nothing follows from them.
+    """
+
+    has_arbiter: float = 1.0
+    learns_boundary: float = 1.0
+    human_present: float = 1.0
+
+
+def hyper_for(method: Method, hyper: Hyper) -> RunHyper:
+    """The hyperparameters of `method`: equal for the three in everything but the flags."""
+    common = {field.name: getattr(hyper, field.name) for field in dataclasses.fields(Hyper)}
+    return RunHyper(
+        **common,
+        has_arbiter=float(method is not Method.SRL),
+        learns_boundary=float(method is Method.HITL_AC),
+    )
+
+
+def validate_hyper(hyper: Hyper) -> None:
+    """Checks host values before any work starts.
+
+    Args:
+        hyper: scalars, not yet on a device.
+
+    Raises:
+        ValueError: one line with the option, the value and what is allowed.
+    """
+    for name in ("actor_learning_rate", "critic_learning_rate", "boundary_actor_learning_rate",
+                 "boundary_critic_learning_rate"):
+        require(name, getattr(hyper, name), at_least=0.0)
+    for name in ("target_noise", "target_noise_clip", "exploration_noise", "warmup_steps",
+                 "delta_minus", "delta_plus", "boundary_noise", "alarm_reward",
+                 "human_action_noise"):
+        require(name, getattr(hyper, name), at_least=0)
+    for name in ("gamma", "target_step_size"):
+        require(name, getattr(hyper, name), at_least=0.0, at_most=1.0)
+    require("noise_correlation", hyper.noise_correlation, at_least=0.0, at_most=0.999)
+    require("takeover_steps", hyper.takeover_steps, at_least=1)
+    require("feedback", hyper.feedback)
+    require("boundary_low", hyper.boundary_low, at_least=0.0)
+    require("boundary_high", hyper.boundary_high, at_least=hyper.boundary_low)
+    require(
+        "initial_boundary",
+        hyper.initial_boundary,
+        at_least=hyper.boundary_low,
+        at_most=hyper.boundary_high,
+    )
+    validate_human_params(hyper.human)
+
+
+def require(
+    name: str, value: float, at_least: float = -math.inf, at_most: float = math.inf
+) -> None:
+    """Raises ValueError with one line unless `value` is a finite number within the bounds."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{_option(name)} {value}: must be a finite number")
+    if not at_least <= value <= at_most:
+        bounds = [f"at least {at_least:g}"] * (at_least > -math.inf)
+        bounds += [f"at most {at_most:g}"] * (at_most < math.inf)
+        raise ValueError(f"{_option(name)} {value}: must be {' and '.join(bounds)}")
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise ValueError(f"{_option(name)} {value}: must be one of {', '.join(allowed)}")

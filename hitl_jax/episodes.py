@@ -1,0 +1,131 @@
+"""Counts what happens in the episodes of N walkers, for training and test alike (host, NumPy)."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+ALARM_WINDOW = 50
+"""k of "falls within k steps": alarms count as timely in the last second before a fall."""
+
+FALL_REWARD = -100.0
+"""BipedalWalker's reward for the step in which it falls; another terminal step is the goal."""
+
+Row = dict[str, Any]
+
+
+class Step(NamedTuple):
+    """What one tick brought to N walkers; entries of walkers that took no step are not read.
+
+    Attributes:
+        live: whether a step was taken, bool [N].
+        reward: r(s, a) of the environment, [N].
+        shaped: the reward of equation (7), [N].
+        terminated: the environment's end of the task, bool [N].
+        truncated: the environment's time limit, bool [N].
+        human_reset: whether the human ended the episode, bool [N].
+        control: u_t, bool [N].
+        began: whether an intervention began, bool [N].
+        alarmed: C, bool [N].
+        dangerous: h_t = 0, bool [N].
+        boundary: τ_t, [N]; NaN where there is none.
+    """
+
+    live: np.ndarray
+    reward: np.ndarray
+    shaped: np.ndarray
+    terminated: np.ndarray
+    truncated: np.ndarray
+    human_reset: np.ndarray
+    control: np.ndarray
+    began: np.ndarray
+    alarmed: np.ndarray
+    dangerous: np.ndarray
+    boundary: np.ndarray
+
+
+_COUNTS = (
+    "return",
+    "shaped_return",
+    "length",
+    "interventions",
+    "human_steps",
+    "alarms",
+    "true_alarms",
+    "false_alarms",
+    "boundary_sum",
+)
+
+
+class EpisodeCounter:
+    """Running totals of the episode that each walker is in."""
+
+    def __init__(self, num_walkers: int):
+        self._totals = {name: np.zeros(num_walkers) for name in _COUNTS}
+        # The alarms of the last k steps, newest last.
+        self._recent = np.zeros((num_walkers, ALARM_WINDOW), bool)
+
+    def clear(self, walker: int) -> None:
+        """Forgets a walker's unfinished episode."""
+        for total in self._totals.values():
+            total[walker] = 0.0
+        self._recent[walker] = False
+
+    def intervened(self, control: np.ndarray) -> np.ndarray:
+        """Whether the human has been in control in this episode, this step included, bool [N]."""
+        return control | (self._totals["human_steps"] > 0)
+
+    def count(self, step: Step) -> list[tuple[int, Row]]:
+        """Adds one tick.
+
+        Args:
+            step: what the tick brought.
+
+        Returns:
+            (walker, row) of each episode that ended: the measures that training and test share.
+        """
+        live = step.live
+        totals = self._totals
+        totals["return"] += np.where(live, step.reward, 0.0)
+        totals["shaped_return"] += np.where(live, step.shaped, 0.0)
+        totals["length"] += live
+        totals["interventions"] += live & step.began
+        totals["human_steps"] += live & step.control
+        totals["alarms"] += live & step.alarmed
+        totals["true_alarms"] += live & step.alarmed & step.dangerous
+        totals["false_alarms"] += live & step.alarmed & ~step.dangerous
+        totals["boundary_sum"] += np.where(live, step.boundary, 0.0)
+        self._recent[live, :-1] = self._recent[live, 1:]
+        self._recent[live, -1] = step.alarmed[live]
+        ended = live & (step.terminated | step.truncated | step.human_reset)
+        return [(int(walker), self._finish(int(walker), step)) for walker in np.flatnonzero(ended)]
+
+    def _finish(self, walker: int, step: Step) -> Row:
+        totals = {name: float(total[walker]) for name, total in self._totals.items()}
+        fall = bool(step.terminated[walker]) and float(step.reward[walker]) <= FALL_REWARD
+        timely = np.flatnonzero(self._recent[walker]) if fall else np.empty(0, int)
+        row: Row = {
+            "return": totals["return"],
+            "shaped_return": totals["shaped_return"],
+            "length": int(totals["length"]),
+            "interventions": int(totals["interventions"]),
+            "human_steps": int(totals["human_steps"]),
+            "alarms": int(totals["alarms"]),
+            "true_alarms": int(totals["true_alarms"]),
+            "false_alarms": int(totals["false_alarms"]),
+            "fall": int(fall),
+            "end": _how_it_ended(fall, walker, step),
+            "mean_boundary": totals["boundary_sum"] / totals["length"],
+            "final_boundary": float(step.boundary[walker]),
+            "alarms_before_fall": len(timely),
+            "lead_steps": float(ALARM_WINDOW - 1 - timely[0]) if len(timely) else float("nan"),
+        }
+        self.clear(walker)
+        return row
+
+
+def _how_it_ended(fall: bool, walker: int, step: Step) -> str:
+    if fall:
+        return "fall"
+    if step.terminated[walker]:
+        return "goal"
+    return "human-reset" if step.human_reset[walker] else "time-limit"

@@ -1,0 +1,106 @@
+"""Files that are there whole or not at all.
+
+What is written gets a temporary name beside its final one, is flushed to the disk, and renamed. A
+killed process can leave temporary names behind; readers ignore them and `remove_leftovers` removes
+them. A final name has one writer at a time.
+"""
+
+import contextlib
+import os
+import pathlib
+import shutil
+import zipfile
+from collections.abc import Iterator, Mapping
+
+TEMPORARY = ".tmp-"
+"""How temporary names begin."""
+
+
+class ResultsError(ValueError):
+    """Results that cannot be used; the message is one line naming the file."""
+
+
+def write_text_atomic(path: pathlib.Path, text: str) -> None:
+    """Writes a text so that `path` holds the old one or the whole new one, never a part.
+
+    Raises:
+        ResultsError: if it cannot be written.
+    """
+    write_bytes_atomic(path, text.encode())
+
+
+def write_bytes_atomic(path: pathlib.Path, data: bytes) -> None:
+    """Writes bytes as `write_text_atomic` writes text."""
+    temporary = path.with_name(TEMPORARY + path.name)
+    with named_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            _write_synced(temporary, data)
+            os.replace(temporary, path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        _sync_folder(path.parent)
+
+
+def write_folder_atomic(path: pathlib.Path, contents: Mapping[str, bytes]) -> None:
+    """Makes a folder with its files, all or nothing.
+
+    Args:
+        path: the folder, not there yet.
+        contents: bytes by file name.
+
+    Raises:
+        ResultsError: if it cannot be written.
+    """
+    temporary = path.with_name(TEMPORARY + path.name)
+    with named_errors(path):
+        shutil.rmtree(temporary, ignore_errors=True)
+        temporary.mkdir(parents=True)
+        try:
+            for name, data in contents.items():
+                _write_synced(temporary / name, data)
+            _sync_folder(temporary)
+            os.rename(temporary, path)
+        except BaseException:
+            shutil.rmtree(temporary, ignore_errors=True)
+            raise
+        _sync_folder(path.parent)
+
+
+def remove_leftovers(folder: pathlib.Path) -> None:
+    """Removes the temporary files and folders below a folder that nobody is writing to."""
+    for path in list(folder.rglob(TEMPORARY + "*")):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def named_errors(path: pathlib.Path) -> Iterator[None]:
+    """Turns errors of files and of what they hold into one line that names `path`."""
+    try:
+        yield
+    except ResultsError:
+        raise
+    except OSError as error:
+        raise ResultsError(f"{path}: {error.strerror or error}") from error
+    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ResultsError(f"{path}: damaged: {' '.join(str(error).split())}") from error
+
+
+def _write_synced(path: pathlib.Path, data: bytes) -> None:
+    with open(path, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync_folder(path: pathlib.Path) -> None:
+    """Makes a rename in this folder survive a loss of power."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

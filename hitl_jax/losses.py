@@ -1,0 +1,99 @@
+"""Losses of the task learner: one equation per function.
+
+The differentiated parameters come first; a loss returns `(loss, metrics)`.
+"""
+
+from collections.abc import Callable
+
+import chex
+import jax
+import jax.numpy as jnp
+
+from hitl_jax.types import Params, Transition
+
+Metrics = dict[str, chex.Array]
+
+
+def target_q(reward: chex.Array, discount: chex.Array, next_q: chex.Array) -> chex.Array:
+    """TD target y = R + discount · min_e Q_e(s', μ(s')), without a gradient.
+
+    The paper's line 10 with the (clipped double) task critics in place of Q_ω; DDPG has E = 1
+    (https://arxiv.org/abs/1509.02971), TD3 has E = 2 (https://arxiv.org/abs/1802.09477, eq. 10).
+
+    Args:
+        reward: n-step reward, [B].
+        discount: γ^m · (1 − terminated), [B].
+        next_q: target critics at the next observation, [E, B].
+
+    Returns:
+        The target, [B].
+    """
+    chex.assert_rank([reward, discount, next_q], [1, 1, 2])
+    chex.assert_equal_shape([reward, discount, next_q[0]])
+    return jax.lax.stop_gradient(reward + discount * jnp.min(next_q, axis=0))
+
+
+def smoothed_action(
+    action: chex.Array, noise: chex.Array, scale: chex.Array, clip: chex.Array
+) -> chex.Array:
+    """TD3's target action ã = clip(a + clip(scale · ε, −c, c), −1, 1), eq. 14 of its paper.
+
+    Args:
+        action: target policy's action, [B, A].
+        noise: standard normal ε, [B, A].
+        scale: standard deviation, [].
+        clip: c, [].
+
+    Returns:
+        The smoothed action, [B, A].
+    """
+    chex.assert_equal_shape([action, noise])
+    return jnp.clip(action + jnp.clip(scale * noise, -clip, clip), -1.0, 1.0)
+
+
+def critic_loss(
+    critic: Params,
+    apply: Callable[[Params, chex.Array, chex.Array], chex.Array],
+    transition: Transition,
+    target: chex.Array,
+) -> tuple[chex.Array, Metrics]:
+    """Sum over critics of the mean squared TD error (line 11 of Algorithm 1).
+
+    Args:
+        critic: parameters of the stacked critics.
+        apply: maps (parameters, [B, O], [B, A]) to values [E, B].
+        transition: minibatch, leading axis B.
+        target: y, [B].
+
+    Returns:
+        The loss [] and metrics `q` (mean value) and `critic_loss`.
+    """
+    q = apply(critic, transition.observation, transition.action)
+    chex.assert_rank([q, target], [2, 1])
+    loss = jnp.sum(jnp.mean(jnp.square(q - target), axis=1))
+    return loss, {"critic_loss": loss, "q": jnp.mean(q)}
+
+
+def actor_loss(
+    actor: Params,
+    apply_actor: Callable[[Params, chex.Array], chex.Array],
+    apply_critic: Callable[[Params, chex.Array, chex.Array], chex.Array],
+    critic: Params,
+    observation: chex.Array,
+) -> tuple[chex.Array, Metrics]:
+    """Deterministic policy gradient: −mean Q_1(s, μ(s)) (line 12, with a in place of τ).
+
+    Args:
+        actor: parameters of μ.
+        apply_actor: maps (parameters, [B, O]) to actions [B, A].
+        apply_critic: maps (parameters, [B, O], [B, A]) to values [E, B].
+        critic: parameters of the stacked critics; only the first critic is followed, as in TD3.
+        observation: [B, O].
+
+    Returns:
+        The loss [] and the metric `actor_loss`.
+    """
+    first = jax.tree.map(lambda leaf: leaf[:1], critic)
+    q = apply_critic(first, observation, apply_actor(actor, observation))
+    loss = -jnp.mean(q)
+    return loss, {"actor_loss": loss}

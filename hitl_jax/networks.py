@@ -1,0 +1,117 @@
+"""Flax modules: actor, stacked critics, and the boundary's pair."""
+
+from collections.abc import Sequence
+
+import chex
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+
+# Uniform in ±1/sqrt(fan_in), the initialisation with which the public records of this task were
+# made (PyTorch's default for a linear layer).
+_kernel_init = nn.initializers.variance_scaling(1.0 / 3.0, "fan_in", "uniform")
+_stacked_init = nn.initializers.variance_scaling(1.0 / 3.0, "fan_in", "uniform", batch_axis=(0,))
+
+
+class Actor(nn.Module):
+    """μ(s): a deterministic policy with actions in [-1, 1].
+
+    Attributes:
+        hidden_sizes: widths of the hidden layers.
+        action_size: A.
+    """
+
+    hidden_sizes: Sequence[int]
+    action_size: int
+
+    @nn.compact
+    def __call__(self, observation: chex.Array) -> chex.Array:
+        """Maps observations [..., O] to actions [..., A]."""
+        x = observation
+        for size in self.hidden_sizes:
+            x = nn.relu(nn.Dense(size, kernel_init=_kernel_init)(x))
+        return jnp.tanh(nn.Dense(self.action_size, kernel_init=_kernel_init)(x))
+
+
+class _StackedDense(nn.Module):
+    """E dense layers at once: one batched product instead of E small ones."""
+
+    num_members: int
+    features: int
+
+    @nn.compact
+    def __call__(self, x: chex.Array) -> chex.Array:
+        """Maps [B, I] (shared by the members) or [E, B, I] to [E, B, F]."""
+        shape = (self.num_members, x.shape[-1], self.features)
+        kernel = self.param("kernel", _stacked_init, shape)
+        bias = self.param("bias", nn.initializers.zeros, (self.num_members, 1, self.features))
+        members = "" if x.ndim == 2 else "e"
+        return jnp.einsum(f"{members}bi,eio->ebo", x, kernel) + bias
+
+
+class Critics(nn.Module):
+    """Q(s, a): E critics evaluated together.
+
+    Attributes:
+        hidden_sizes: widths of the hidden layers.
+        num_critics: E.
+    """
+
+    hidden_sizes: Sequence[int]
+    num_critics: int
+
+    @nn.compact
+    def __call__(self, observation: chex.Array, action: chex.Array) -> chex.Array:
+        """Maps observations [B, O] and actions [B, A] to values [E, B]."""
+        chex.assert_rank([observation, action], 2)
+        x = jnp.concatenate([observation, action], axis=-1)
+        for size in self.hidden_sizes:
+            x = nn.relu(_StackedDense(self.num_critics, size)(x))
+        return _StackedDense(self.num_critics, 1)(x)[..., 0]
+
+
+class BoundaryActor(nn.Module):
+    """π_θ(s): the switching boundary of a state (Algorithm 1, line 6).
+
+    Attributes:
+        hidden_sizes: widths of the hidden layers.
+    """
+
+    hidden_sizes: Sequence[int]
+
+    @nn.compact
+    def __call__(
+        self, observation: chex.Array, initial: chex.Array, low: chex.Array, high: chex.Array
+    ) -> chex.Array:
+        """Maps observations [..., O] to boundaries [...] in (low, high), `initial` at first.
+
+        Args:
+            observation: s, [..., O].
+            initial: τ_0, [], the output before any learning.
+            low: least boundary, [].
+            high: greatest boundary, [].
+        """
+        x = observation
+        for size in self.hidden_sizes:
+            x = nn.relu(nn.Dense(size, kernel_init=_kernel_init)(x))
+        x = nn.Dense(1, kernel_init=nn.initializers.zeros)(x)[..., 0]
+        share = jnp.clip((initial - low) / jnp.maximum(high - low, 1e-6), 1e-3, 1.0 - 1e-3)
+        return low + (high - low) * jax.nn.sigmoid(jax.scipy.special.logit(share) + x)
+
+
+class BoundaryCritic(nn.Module):
+    """Q_ω(s, τ): the value of a boundary in a state.
+
+    Attributes:
+        hidden_sizes: widths of the hidden layers.
+    """
+
+    hidden_sizes: Sequence[int]
+
+    @nn.compact
+    def __call__(self, observation: chex.Array, boundary: chex.Array) -> chex.Array:
+        """Maps observations [..., O] and boundaries [...] to values [...]."""
+        x = jnp.concatenate([observation, boundary[..., None]], axis=-1)
+        for size in self.hidden_sizes:
+            x = nn.relu(nn.Dense(size, kernel_init=_kernel_init)(x))
+        return nn.Dense(1, kernel_init=_kernel_init)(x)[..., 0]

@@ -1,0 +1,57 @@
+"""Where numbers come from: versions of what made them and the commit of this code."""
+
+import importlib.metadata
+import pathlib
+import platform
+import subprocess
+
+_PACKAGES = (
+    "jax",
+    "jaxlib",
+    "flax",
+    "optax",
+    "chex",
+    "brax",
+    "gymnasium",
+    "box2d",
+    "box2d-py",
+    "envpool",
+    "numpy",
+)
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that a run's numbers depend on.
+
+    Read from the packages' metadata, so that none is imported; one that is not installed is absent.
+    gymnasium's Box2D is published under two names, `box2d` and `box2d-py`.
+    """
+    found = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def git_commit() -> str | None:
+    """The commit of this code, with "-dirty" after it where tracked files have changed.
+
+    Returns:
+        None without git, without a commit, or where this file is not part of the repository around
+        it (a package installed below somebody else's checkout).
+    """
+    here = pathlib.Path(__file__).resolve()
+    try:
+        _git(here.parent, "ls-files", "--error-unmatch", here.name)
+        return _git(here.parent, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _git(folder: pathlib.Path, *arguments: str) -> str:
+    done = subprocess.run(
+        ["git", *arguments], cwd=folder, capture_output=True, text=True, check=True, timeout=30
+    )
+    return done.stdout.strip()

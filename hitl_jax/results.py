@@ -1,0 +1,325 @@
+"""What is on disk: one folder for a sweep, and in it one folder for each finished run.
+
+::
+
+    OUT/config.json                          what defines the numbers, the command, the versions
+    OUT/runs/<method>/seed-0003/run.json     the run: config, versions, commit, cost
+    OUT/runs/<method>/seed-0003/episodes.csv training episodes
+    OUT/runs/<method>/seed-0003/test.csv     test episodes
+    OUT/runs/<method>/seed-0003/params.npz   the final parameters
+    OUT/partial/<method>-seed-0003.csv       training episodes of a run still under way
+    OUT/summary.csv, OUT/summary.md, OUT/figures/
+
+Everything is written atomically (`hitl_jax.files`), so a file or a run that is there is whole,
+whenever the process is killed. A folder has one writer at a time and any number of readers. Nothing
+here imports jax.
+"""
+
+import dataclasses
+import io
+import json
+import os
+import pathlib
+import re
+import tempfile
+from typing import Any
+
+import numpy as np
+
+from hitl_jax.files import (
+    TEMPORARY,
+    ResultsError,
+    named_errors,
+    remove_leftovers,
+    write_folder_atomic,
+    write_text_atomic,
+)
+from hitl_jax.provenance import git_commit, versions
+from hitl_jax.tables import (
+    EPISODE_COLUMNS,
+    METHODS,
+    TEST_COLUMNS,
+    Table,
+    table_from_csv,
+    table_to_csv,
+    to_table,
+)
+
+FORMAT = 1
+RUN_INFO = ("config", "versions", "commit", "wall_seconds", "env_steps", "updates")
+"""What the caller of `save_run` tells about a run."""
+
+_MAX_DIFFERENCES = 5
+
+
+class ConfigMismatch(ResultsError):
+    """A results folder that was made with another config."""
+
+
+@dataclasses.dataclass(frozen=True, order=True)
+class RunKey:
+    """The name of a run: its randomness comes from these two alone.
+
+    Attributes:
+        method: lower-case letters, digits and hyphens, for example "hitl-ac".
+        seed: from 0.
+    """
+
+    method: str
+    seed: int
+
+    def __post_init__(self) -> None:
+        """Refuses what could not be a file name."""
+        if not re.fullmatch(r"[a-z0-9][a-z0-9-]*", self.method) or self.seed < 0:
+            raise ValueError(f"run {self.method!r} seed {self.seed}: not a method and a seed >= 0")
+
+    def __str__(self) -> str:
+        return f"{self.method} seed {self.seed}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """A finished run.
+
+    Attributes:
+        key: its name.
+        info: run.json.
+        episodes: training episodes, columns `EPISODE_COLUMNS`.
+        tests: test episodes, columns `TEST_COLUMNS`.
+    """
+
+    key: RunKey
+    info: dict[str, Any]
+    episodes: Table
+    tests: Table
+
+
+class ResultsFolder:
+    """One folder of results. Making the object touches nothing on the disk.
+
+    Args:
+        path: the folder, there or not.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = pathlib.Path(path)
+
+    def create_or_resume(self, config: dict[str, Any], command: str) -> None:
+        """Makes the folder, or makes sure that it holds results of the same config.
+
+        On resuming, config.json keeps the first command and versions (each run.json has its own),
+        and what a killed process left half written is removed.
+
+        Args:
+            config: all that defines the numbers: a nested dict of what JSON can hold, no NaN.
+            command: the command line, for the record.
+
+        Raises:
+            ConfigMismatch: if the folder was made with another config.
+            ResultsError: if the folder holds something else, or cannot be written.
+        """
+        config = json.loads(_to_json(config))  # tuples become lists, as on the disk
+        if self.path.exists() and not self.path.is_dir():
+            raise ResultsError(f"{self.path}: is a file, not a folder")
+        with named_errors(self.path):
+            self.path.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=self.path, prefix=TEMPORARY):
+                pass  # a folder that cannot be written is noticed now, not after hours
+            if (self.path / "config.json").exists():
+                _compare(self.path, self.load_config(), config)
+                remove_leftovers(self.path)
+                return
+            foreign = [p.name for p in self.path.iterdir() if not p.name.startswith(TEMPORARY)]
+            if foreign:
+                raise ResultsError(
+                    f"{self.path}: holds other files ({min(foreign)}) and no config.json; "
+                    "name a new or an empty folder"
+                )
+            remove_leftovers(self.path)
+        document = {"format": FORMAT, "config": config, "command": command}
+        document |= {"versions": versions(), "commit": git_commit()}
+        write_text_atomic(self.path / "config.json", _to_json(document))
+
+    def load_config(self) -> dict[str, Any]:
+        """The config that the folder was made with.
+
+        Raises:
+            ResultsError: if this is no results folder, or config.json is damaged.
+        """
+        path = self.path / "config.json"
+        if not path.exists():
+            raise ResultsError(f"{self.path}: no results here (no config.json)")
+        return _read_json(path, ("config",))["config"]
+
+    def save_run(
+        self,
+        key: RunKey,
+        episodes: dict[str, Any],
+        tests: dict[str, Any],
+        params: dict[str, np.ndarray],
+        info: dict[str, Any],
+    ) -> None:
+        """Writes a finished run, whole or not at all.
+
+        Args:
+            key: the run.
+            episodes: training episodes, columns `EPISODE_COLUMNS`, each [T].
+            tests: test episodes, columns `TEST_COLUMNS`, each [N]; N may be 0.
+            params: arrays by flat name, for example "actor/layer_0/kernel".
+            info: what `RUN_INFO` lists, and whatever else JSON can hold.
+
+        Raises:
+            ResultsError: if the run is there already, or the disk refuses.
+            ValueError: if a column, an array or an entry of `info` is not what it must be.
+        """
+        final = self._run_path(key)
+        if final.exists():
+            raise ResultsError(f"{final}: this run is finished already")
+        missing = [name for name in RUN_INFO if name not in info]
+        if missing:
+            raise ValueError(f"info lacks {', '.join(missing)}")
+        objects = [name for name, array in params.items() if np.asarray(array).dtype.hasobject]
+        if objects:
+            raise ValueError(f"parameter {objects[0]!r} is not an array of numbers")
+        head = {"format": FORMAT, "method": key.method, "seed": key.seed, "status": "finished"}
+        document = head | info | head  # `head` comes first, and `info` cannot change it
+        archive = io.BytesIO()
+        np.savez(archive, **params)  # type: ignore[arg-type]
+        contents = {
+            "episodes.csv": table_to_csv(to_table(episodes, EPISODE_COLUMNS)).encode(),
+            "test.csv": table_to_csv(to_table(tests, TEST_COLUMNS)).encode(),
+            "params.npz": archive.getvalue(),
+            "run.json": _to_json(document).encode(),
+        }
+        write_folder_atomic(final, contents)
+
+    def finished(self) -> set[RunKey]:
+        """The runs that are on the disk, whole."""
+        names = [(path.parent.name, path.name) for path in self.path.glob("runs/*/seed-*")]
+        return {key for method, name in names if (key := _parse_key(f"{method}-{name}"))}
+
+    def load_run(self, key: RunKey) -> Run:
+        """Reads a finished run, without its parameters.
+
+        Raises:
+            ResultsError: if it is not there or a file is damaged.
+        """
+        folder = self._run_path(key)
+        info = _read_json(folder / "run.json", RUN_INFO)
+        if (info.get("method"), info.get("seed")) != (key.method, key.seed):
+            raise ResultsError(f"{folder / 'run.json'}: is of another run than its folder's name")
+        episodes = _read_table(folder / "episodes.csv", EPISODE_COLUMNS)
+        return Run(key, info, episodes, _read_table(folder / "test.csv", TEST_COLUMNS))
+
+    def load_all(self) -> list[Run]:
+        """All finished runs: in the order of `METHODS`, other methods after them, then by seed."""
+        return [self.load_run(key) for key in sort_keys(self.finished())]
+
+    def load_params(self, key: RunKey) -> dict[str, np.ndarray]:
+        """The final parameters of a finished run, by flat name.
+
+        Raises:
+            ResultsError: if the file is missing or damaged.
+        """
+        path = self._run_path(key) / "params.npz"
+        # Opened here: np.load leaves the file open where the archive is damaged.
+        with named_errors(path), open(path, "rb") as file:
+            archive = np.load(file, allow_pickle=False)
+            return {name: archive[name] for name in archive.files}
+
+    def write_partial(self, key: RunKey, episodes: dict[str, Any]) -> None:
+        """Writes, in place of an earlier one, the training episodes so far of a run under way."""
+        text = table_to_csv(to_table(episodes, EPISODE_COLUMNS))
+        write_text_atomic(self._partial_path(key), text)
+
+    def remove_partial(self, key: RunKey) -> None:
+        """Removes a run's partial episodes, if there are any."""
+        with named_errors(self._partial_path(key)):
+            self._partial_path(key).unlink(missing_ok=True)
+
+    def load_partials(self) -> dict[RunKey, Table]:
+        """The training episodes so far of the runs that are not finished.
+
+        Raises:
+            ResultsError: if a file is damaged.
+        """
+        keys = {key for p in self.path.glob("partial/*.csv") if (key := _parse_key(p.stem))}
+        tables = {}
+        # A process killed between `save_run` and `remove_partial` leaves both.
+        for key in sort_keys(keys - self.finished()):
+            path = self._partial_path(key)
+            try:
+                tables[key] = _read_table(path, EPISODE_COLUMNS)
+            except ResultsError:
+                if path.exists():  # if not, the run has finished since the folder was listed
+                    raise
+        return tables
+
+    def _run_path(self, key: RunKey) -> pathlib.Path:
+        return self.path / "runs" / key.method / f"seed-{key.seed:04d}"
+
+    def _partial_path(self, key: RunKey) -> pathlib.Path:
+        return self.path / "partial" / f"{key.method}-seed-{key.seed:04d}.csv"
+
+
+def sort_keys(keys: set[RunKey]) -> list[RunKey]:
+    """Runs in the order of `METHODS`, other methods after them by name, then by seed."""
+    place = {method: index for index, method in enumerate(METHODS)}
+    return sorted(keys, key=lambda key: (place.get(key.method, len(place)), key))
+
+
+def flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A nested dict as one level, with dots in the keys; an empty dict is a value."""
+    flat: dict[str, Any] = {}
+    for name, value in tree.items():
+        if isinstance(value, dict) and value:
+            flat |= flatten(value, f"{prefix}{name}.")
+        else:
+            flat[prefix + name] = value
+    return flat
+
+
+def _compare(path: pathlib.Path, has: dict[str, Any], asked: dict[str, Any]) -> None:
+    old, new, nothing = flatten(has), flatten(asked), object()
+    keys = [k for k in old | new if old.get(k, nothing) != new.get(k, nothing)]
+    if not keys:
+        return
+    lines = [
+        f"{k}: folder has {json.dumps(old[k]) if k in old else 'nothing'}, "
+        f"asked for {json.dumps(new[k]) if k in new else 'nothing'}"
+        for k in sorted(keys)
+    ]
+    more = [f"and {len(lines) - _MAX_DIFFERENCES} more"] * (len(lines) > _MAX_DIFFERENCES)
+    shown = "; ".join(lines[:_MAX_DIFFERENCES] + more)
+    raise ConfigMismatch(f"{path}: made with another config: {shown}")
+
+
+def _parse_key(name: str) -> RunKey | None:
+    match = re.fullmatch(r"([a-z0-9][a-z0-9-]*)-seed-(\d{4,})", name)
+    return RunKey(match[1], int(match[2])) if match else None
+
+
+def _to_json(document: dict[str, Any]) -> str:
+    return json.dumps(document, indent=2, allow_nan=False, default=_plain) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{value!r} cannot be written as JSON")
+
+
+def _read_json(path: pathlib.Path, required: tuple[str, ...]) -> dict[str, Any]:
+    with named_errors(path):
+        document = json.loads(path.read_text())
+        if not isinstance(document, dict) or document.get("format") != FORMAT:
+            raise ResultsError(f"{path}: is not of format {FORMAT} of this program")
+        missing = [name for name in required if name not in document]
+        if missing:
+            raise ValueError(f"lacks {', '.join(missing)}")
+    return document
+
+
+def _read_table(path: pathlib.Path, names: tuple[str, ...]) -> Table:
+    with named_errors(path):
+        return table_from_csv(path.read_text(), names)

@@ -1,0 +1,321 @@
+"""The host loop: walkers on one side, the learner on the other, both busy.
+
+Time is cut into ticks (one step of every walker) and chunks of U ticks. While the walkers play chunk
+i+1, the device learns from chunk i; the parameters that act in chunk i+1 are those learned up to chunk
+i−1. That lag is part of a run's definition: it is the same whatever the machine's speed.
+
+A slot is a column of the batch. Runs wait in a queue for a slot; a run that is done leaves its slot at
+once, and takes no more time. Nothing a run computes depends on its slot or on its neighbours.
+"""
+
+import dataclasses
+import math
+import zlib
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+
+import jax
+import numpy as np
+
+from hitl_jax import agent as agents
+from hitl_jax import arbiter, batch
+from hitl_jax.agent import Agent
+from hitl_jax.config import Method, RunHyper, require
+from hitl_jax.envs import Command, StepBatch, WalkerPool
+from hitl_jax.episodes import EpisodeCounter, Row, Step
+from hitl_jax.types import Params
+
+
+@dataclasses.dataclass(frozen=True)
+class LoopConfig:
+    """How much a run plays and learns.
+
+    Attributes:
+        episodes: training episodes of a run.
+        capacity: frames in the replay of a run; rounded up to whole chunks.
+        chunk: environment steps between two calls of the learner.
+        updates_per_step: updates of the task learner per environment step.
+    """
+
+    episodes: int = 1000
+    capacity: int = 200_000
+    chunk: int = 16
+    updates_per_step: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Checks every number; ValueError names the option, the value and what is allowed."""
+        require("episodes", self.episodes, at_least=1)
+        require("chunk", self.chunk, at_least=1)
+        require("capacity", self.capacity, at_least=2 * self.chunk)
+        require("updates_per_step", self.updates_per_step, at_least=0.0)
+
+    @property
+    def frames(self) -> int:
+        """Capacity in whole chunks."""
+        return math.ceil(self.capacity / self.chunk) * self.chunk
+
+    def num_updates(self, policy_delay: int) -> int:
+        """Updates in one call of the learner.
+
+        Raises:
+            ValueError: if a chunk has no whole number of delayed actor updates.
+        """
+        updates = self.chunk * self.updates_per_step
+        if updates != round(updates) or round(updates) % policy_delay:
+            raise ValueError(
+                f"--updates-per-step {self.updates_per_step}: times --chunk {self.chunk} it must be "
+                f"a multiple of {policy_delay}, the learner's policy delay"
+            )
+        return round(updates)
+
+
+@dataclasses.dataclass(frozen=True)
+class RunSpec:
+    """A run is its method and seed; `hyper` is what the method makes of the options."""
+
+    method: Method
+    seed: int
+    hyper: RunHyper
+
+
+@dataclasses.dataclass
+class Run:
+    """A run under way or done.
+
+    Attributes:
+        spec: which run.
+        slot: its column in the batch.
+        episodes: a row for each training episode that has ended.
+        ticks: ticks since it was seated.
+        env_steps: environment steps taken.
+        updates: updates of the task learner.
+        done: whether all episodes have ended.
+    """
+
+    spec: RunSpec
+    slot: int
+    episodes: list[Row] = dataclasses.field(default_factory=list)
+    ticks: int = 0
+    env_steps: int = 0
+    updates: int = 0
+    done: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class FinishedRun:
+    """What a run leaves behind.
+
+    Attributes:
+        run: its record.
+        train: its training state, as NumPy arrays.
+        boundary: the boundary source's carry, [].
+    """
+
+    run: Run
+    train: Params
+    boundary: np.ndarray
+
+
+def method_index(method: Method) -> int:
+    """A number for a method that does not depend on which methods run."""
+    return list(Method).index(method)
+
+
+def episode_seed(*parts: object) -> int:
+    """A reset seed from (method, seed, episode number), or any other words, 32 bits."""
+    return zlib.crc32("/".join(str(part) for part in parts).encode())
+
+
+class Rollout:
+    """Plays and trains a list of runs over a fixed number of slots."""
+
+    def __init__(
+        self,
+        agent: Agent,
+        specs: Sequence[RunSpec],
+        pool: WalkerPool,
+        config: LoopConfig,
+        tile: int = 1,
+    ):
+        """Places everything on the devices.
+
+        Args:
+            agent: the team.
+            specs: the runs; more than `pool.num_walkers` wait for a slot.
+            pool: one walker a slot; the number of slots must be a multiple of the devices'.
+            config: how much to play and learn.
+            tile: runs learned together on one device.
+        """
+        self._agent = agent
+        self._pool = pool
+        self._config = config
+        self._layout = agent.layout
+        slots = pool.num_walkers
+        mesh = batch.make_mesh()
+        self._devices = mesh.size
+        self._num_updates = config.num_updates(agent.config.policy_delay)
+        self._programs = batch.make_programs(agent, mesh, self._num_updates, tile)
+        self._acting_device = jax.devices("cpu")[0]
+        like = jax.tree.map(np.asarray, specs[0].hyper)
+        self._seats = batch.empty_seats(agent, slots, config.frames, mesh, like)
+        self._acting = batch.empty_acting(agent, slots, self._acting_device, like)
+        behavior = jax.vmap(agents.behavior)(self._seats.train)
+        self._behavior = jax.device_put(behavior, self._acting_device)
+        self._pending = self._behavior
+
+        self._queue = deque(specs)
+        self._runs: list[Run | None] = [None] * slots
+        self._counter = EpisodeCounter(slots)
+        self._active = np.zeros(slots, bool)
+        self._needs_reset = np.zeros(slots, bool)
+        self._seeds = np.zeros(slots, np.uint32)
+        self._feedback = np.zeros(slots)
+        self._has_arbiter = np.zeros(slots, bool)
+        self._observation = np.zeros((slots, pool.observation_size), np.float32)
+        self._take = jax.jit(lambda tree, slot: jax.tree.map(lambda leaf: leaf[slot], tree))
+        self._replace = jax.jit(
+            lambda tree, slot, row: jax.tree.map(lambda a, b: a.at[slot].set(b), tree, row)
+        )
+        for slot in self._slot_order():
+            self._seat(slot)
+
+    def __iter__(self) -> Iterator[list[FinishedRun]]:
+        """Plays chunk after chunk; gives the runs that finished in each."""
+        while self._active.any():
+            frames = self._play()
+            jax.block_until_ready(self._pending)
+            self._behavior = self._pending
+            finished = [run for run in self._runs if run is not None and run.done]
+            results = [self._collect(run) for run in finished]
+            self._learn(frames)
+            for run in finished:
+                self._runs[run.slot] = None
+                self._seat(run.slot)
+            yield results
+
+    def runs(self) -> list[Run]:
+        """The runs under way."""
+        return [run for run in self._runs if run is not None]
+
+    def compiled(self) -> int:
+        """Programs compiled so far by the loop; constant after the first minute."""
+        programs: list[Callable] = [*self._programs, self._take, self._replace]
+        return sum(program._cache_size() for program in programs)  # type: ignore[attr-defined]
+
+    def _slot_order(self) -> list[int]:
+        """Slots such that neighbours in the queue go to different devices."""
+        slots = len(self._runs)
+        return [int(slot) for slot in np.arange(slots).reshape(self._devices, -1).T.ravel()]
+
+    def _seat(self, slot: int) -> None:
+        """Gives a slot to the next run in the queue, if there is one."""
+        if not self._queue:
+            return
+        spec = self._queue.popleft()
+        learning, acting, _ = batch.run_keys(spec.seed, method_index(spec.method))
+        hyper = jax.tree.map(np.asarray, spec.hyper)
+        self._seats = self._programs.seat(self._seats, slot, hyper, learning)
+        acting_key = jax.device_put(acting, self._acting_device)
+        self._acting = self._programs.seat_acting(self._acting, slot, hyper, acting_key)
+        fresh = agents.behavior(self._take(self._seats.train, slot))
+        fresh = jax.device_put(fresh, self._acting_device)
+        self._behavior = self._replace(self._behavior, slot, fresh)
+        self._pending = self._replace(self._pending, slot, fresh)
+        self._runs[slot] = Run(spec=spec, slot=slot)
+        self._counter.clear(slot)
+        self._active[slot] = True
+        self._needs_reset[slot] = True
+        self._seeds[slot] = episode_seed(spec.method, spec.seed, 0)
+        self._feedback[slot] = spec.hyper.feedback
+        self._has_arbiter[slot] = spec.hyper.has_arbiter > 0
+
+    def _play(self) -> np.ndarray:
+        """One chunk of ticks; the frames for the replay, [R, U, W]."""
+        frames = np.zeros((len(self._runs), self._config.chunk, self._layout.width), np.float32)
+        for tick in range(self._config.chunk):
+            live = self._active & ~self._needs_reset
+            self._acting, packed = self._programs.act(
+                self._acting, self._behavior, self._observation, live
+            )
+            decided = np.asarray(packed)
+            command = np.where(live, Command.STEP, Command.IDLE).astype(np.uint8)
+            command[self._active & self._needs_reset] = Command.RESET
+            answer = self._pool.step(command, decided[:, self._layout.action], self._seeds)
+            frames[:, tick] = self._record(live, decided, answer)
+            self._observation = answer.observation
+        for run in self.runs():
+            run.ticks += self._config.chunk
+        return frames
+
+    def _record(self, live: np.ndarray, decided: np.ndarray, answer: StepBatch) -> np.ndarray:
+        """Books one tick; its frames, [R, W]."""
+        layout, config = self._layout, self._agent.config
+        extra = {
+            name: decided[:, layout.width + index] > 0.5
+            for index, name in enumerate(batch.EXTRA_COLUMNS)
+        }
+        human_reset = live & extra["human_reset"]
+        terminated = answer.terminated | (human_reset & config.human_reset_terminates)
+        truncated = (answer.truncated | human_reset) & ~terminated
+        shaped = arbiter.shaped_reward(
+            answer.reward,
+            extra["control"],
+            self._feedback,
+            config.feedback_schedule,
+            terminated | truncated,
+            self._counter.intervened(extra["control"]),
+        )
+        frame = decided[:, : layout.width].copy()
+        frame[:, layout.reward] = np.where(live, shaped, 0.0)
+        frame[:, layout.terminated] = live & terminated
+        frame[:, layout.truncated] = live & truncated
+        step = Step(
+            live=live,
+            reward=answer.reward,
+            shaped=shaped,
+            terminated=answer.terminated,
+            truncated=answer.truncated,
+            human_reset=human_reset,
+            control=extra["control"],
+            began=extra["began"],
+            alarmed=extra["alarmed"],
+            dangerous=extra["dangerous"],
+            boundary=np.where(self._has_arbiter, decided[:, layout.boundary], np.nan),
+        )
+        self._needs_reset[:] = False
+        for slot, row in self._counter.count(step):
+            self._end_episode(slot, row)
+        return frame
+
+    def _end_episode(self, slot: int, row: Row) -> None:
+        run = self._runs[slot]
+        assert run is not None
+        run.env_steps += row["length"]
+        run.episodes.append({"episode": len(run.episodes) + 1, "env_steps": run.env_steps, **row})
+        self._needs_reset[slot] = True
+        self._seeds[slot] = episode_seed(run.spec.method, run.spec.seed, len(run.episodes))
+        if len(run.episodes) == self._config.episodes:
+            run.done = True
+            self._active[slot] = False
+
+    def _learn(self, frames: np.ndarray) -> None:
+        """Starts the learner on a chunk; does not wait for it."""
+        slots = np.zeros(len(self._runs), np.int32)
+        count = np.zeros(self._devices, np.int32)
+        share = len(self._runs) // self._devices
+        for run in self.runs():
+            warm = max(run.spec.hyper.warmup_steps, 2 * self._config.chunk)
+            if not run.done and run.ticks >= warm:
+                device, column = divmod(run.slot, share)
+                slots[device * share + count[device]] = column
+                count[device] += 1
+                run.updates += self._num_updates
+        self._seats, behavior = self._programs.learn(self._seats, frames, slots, count)
+        self._pending = jax.device_put(behavior, self._acting_device)
+
+    def _collect(self, run: Run) -> FinishedRun:
+        train, acting = (
+            jax.device_get(self._take(tree, run.slot))
+            for tree in (self._seats.train.replace(key=None), self._acting.state.boundary)
+        )
+        return FinishedRun(run=run, train=train, boundary=acting)

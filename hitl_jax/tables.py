@@ -1,0 +1,144 @@
+"""Tables of episodes: their columns, their checks, and CSV both ways.
+
+A table in memory is a dict from column name to a one-dimensional array, all of one length: one row
+an episode. Text columns hold str, counts int64, and the rest float64, NaN where there is no value.
+"""
+
+import csv
+import io
+
+import numpy as np
+
+Table = dict[str, np.ndarray]
+"""Column name to values [T]."""
+
+METHODS = ("srl", "hitl-fix", "hitl-ac")
+"""The methods that are compared, in the order of tables and legends."""
+
+ENDS = ("fall", "goal", "time-limit", "human-reset")
+MODES = ("autonomous", "assisted")
+
+EPISODE_COLUMNS = (
+    "episode",  # counted from 1
+    "return",  # of the environment alone
+    "shaped_return",  # of what the learner was given: with the human's feedback
+    "length",  # environment steps
+    "env_steps",  # of the run so far, this episode included
+    "interventions",  # begun
+    "human_steps",  # controlled by the human
+    "alarms",  # steps with |c_t| >= |τ_t|
+    "true_alarms",  # alarms where the human saw danger
+    "false_alarms",  # alarms where the human did not
+    "fall",  # 0 or 1
+    "end",  # one of ENDS
+    "mean_boundary",  # in the indicator's unit; NaN without an arbiter
+    "final_boundary",  # likewise
+    "alarms_before_fall",  # alarms within the last k steps before a fall
+    "lead_steps",  # from the first of those to the fall; NaN if none
+)
+"""Columns of a run's training episodes."""
+
+TEST_COLUMNS = (
+    "mode",  # one of MODES
+    "episode",
+    "return",
+    "length",
+    "interventions",
+    "human_steps",
+    "alarms",
+    "true_alarms",
+    "false_alarms",
+    "fall",
+    "end",
+    "mean_boundary",
+    "alarms_before_fall",
+    "lead_steps",
+)
+"""Columns of a run's test episodes; they mean what they mean in training."""
+
+_TEXT = {"mode": MODES, "end": ENDS}
+_FLOATS = ("return", "shaped_return", "mean_boundary", "final_boundary", "lead_steps")
+_MAY_BE_NAN = ("mean_boundary", "final_boundary", "lead_steps")
+
+
+def to_table(columns: dict[str, object], names: tuple[str, ...]) -> Table:
+    """Checks columns and brings them to the types and the order of a table.
+
+    Args:
+        columns: sequences or arrays [T], exactly those of `names`.
+        names: `EPISODE_COLUMNS` or `TEST_COLUMNS`.
+
+    Returns:
+        The table, with copies of the values.
+
+    Raises:
+        ValueError: one line naming the column that is missing, unknown, of another length, or holds
+            a value that it cannot.
+    """
+    missing, unknown = set(names) - set(columns), set(columns) - set(names)
+    if missing or unknown:
+        raise ValueError(f"columns missing: {sorted(missing)}, unknown: {sorted(unknown)}")
+    table = {name: _column(name, columns[name]) for name in names}
+    lengths = {name: len(values) for name, values in table.items()}
+    if len(set(lengths.values())) > 1:
+        raise ValueError(f"columns differ in length: {lengths}")
+    return table
+
+
+def table_to_csv(table: Table) -> str:
+    """CSV with a header; NaN is an empty cell, and a float reads back as the same float."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table)
+    # NaN alone differs from itself.
+    columns = [["" if v != v else v for v in values.tolist()] for values in table.values()]
+    writer.writerows(zip(*columns, strict=True))
+    return text.getvalue()
+
+
+def table_from_csv(text: str, names: tuple[str, ...]) -> Table:
+    """The inverse of `table_to_csv`.
+
+    Raises:
+        ValueError: one line saying what is wrong, with the line of the file where there is one.
+    """
+    rows = list(csv.reader(io.StringIO(text)))
+    if not rows or tuple(rows[0]) != names:
+        raise ValueError(f"the header is not {','.join(names[:3])},…")
+    for number, row in enumerate(rows[1:], start=2):
+        if len(row) != len(names):
+            raise ValueError(f"line {number} has {len(row)} of {len(names)} cells")
+    if not text.endswith("\n"):
+        raise ValueError(f"line {len(rows)} is cut short")
+    cells = zip(*rows[1:], strict=True) if len(rows) > 1 else ((),) * len(names)
+    return to_table(dict(zip(names, cells, strict=True)), names)
+
+
+def select(table: Table, column: str, value: str) -> Table:
+    """The rows in which `column` is `value`."""
+    rows = table[column] == value
+    return {name: values[rows] for name, values in table.items()}
+
+
+def _column(name: str, values: object) -> np.ndarray:
+    array = np.asarray(values)
+    if array.ndim != 1:
+        raise ValueError(f"column {name!r} has shape {array.shape}: must be one-dimensional")
+    if name in _TEXT:
+        wrong = set(array.tolist()) - set(_TEXT[name])
+        if wrong:
+            raise ValueError(f"column {name!r} holds {min(wrong)!r}: not in {_TEXT[name]}")
+        return array.astype(str)
+    if array.dtype.kind == "U":
+        array = np.where(array == "", "nan", array)
+    try:
+        numbers = array.astype(float)
+    except ValueError as error:
+        raise ValueError(f"column {name!r}: {error}") from error
+    if name not in _MAY_BE_NAN and not np.isfinite(numbers).all():
+        raise ValueError(f"column {name!r} holds a value that is missing or not finite")
+    if name in _FLOATS:
+        return numbers
+    if (numbers != np.floor(numbers)).any():
+        raise ValueError(f"column {name!r} holds a value that is not a whole number")
+    return numbers.astype(np.int64)

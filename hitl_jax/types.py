@@ -1,0 +1,118 @@
+"""Data that the rooms hand to each other; no behaviour."""
+
+from typing import Any
+
+import chex
+from flax import struct
+
+Params = Any
+"""A pytree of float32 arrays."""
+
+
+@struct.dataclass
+class Transition:
+    """One (n-step) transition of the task, as the task learner sees it.
+
+    Shapes are for one transition; a minibatch has a leading axis B.
+
+    Attributes:
+        observation: s_t, [O].
+        action: the executed action, [A], in [-1, 1].
+        reward: sum of the n discounted rewards of equation (7), [].
+        discount: γ^m · (1 − terminated), [], where m ≤ n steps were taken. A truncated episode
+            keeps its bootstrap.
+        next_observation: s_{t+m}, the true final observation where the episode ended, [O].
+    """
+
+    observation: chex.Array
+    action: chex.Array
+    reward: chex.Array
+    discount: chex.Array
+    next_observation: chex.Array
+
+
+@struct.dataclass
+class BoundaryTransition:
+    """One sample of Algorithm 1's pool D: (s_t, s_{t+1}, r_t, τ_t, τ_{t+1}), line 9.
+
+    Attributes:
+        observation: s_t, [O].
+        boundary: τ_t, [], in the safety indicator's unit.
+        reward: r_t of equation (7) plus r'_t, [].
+        discount: γ · (1 − terminated), [].
+        next_observation: s_{t+1}, [O].
+        next_boundary: τ_{t+1} of line 8, [].
+    """
+
+    observation: chex.Array
+    boundary: chex.Array
+    reward: chex.Array
+    discount: chex.Array
+    next_observation: chex.Array
+    next_boundary: chex.Array
+
+
+@struct.dataclass
+class LearnerState:
+    """The task learner of one run.
+
+    Attributes:
+        actor: parameters of μ.
+        critic: parameters of the stacked critics, leaves [E, ...].
+        target_actor: Polyak average of `actor`.
+        target_critic: Polyak average of `critic`.
+        actor_optimizer: state of Adam for `actor`.
+        critic_optimizer: state of Adam for `critic`.
+    """
+
+    actor: Params
+    critic: Params
+    target_actor: Params
+    target_critic: Params
+    actor_optimizer: Any
+    critic_optimizer: Any
+
+
+@struct.dataclass
+class BoundaryState:
+    """The boundary learner of one run (Algorithm 1, line 2).
+
+    Attributes:
+        actor: parameters θ of π_θ.
+        critic: parameters ω of Q_ω.
+        actor_optimizer: state of Adam for θ.
+        critic_optimizer: state of Adam for ω.
+    """
+
+    actor: Params
+    critic: Params
+    actor_optimizer: Any
+    critic_optimizer: Any
+
+
+@struct.dataclass
+class TrainState:
+    """All that learning changes in one run.
+
+    Attributes:
+        learner: the task learner.
+        boundary: the boundary learner.
+        key: typed PRNG key of the run's learning, [].
+    """
+
+    learner: LearnerState
+    boundary: BoundaryState
+    key: chex.PRNGKey
+
+
+@struct.dataclass
+class Behavior:
+    """The parameters that acting needs, and no others.
+
+    Attributes:
+        actor: parameters of μ.
+        boundary_actor: parameters θ of π_θ.
+    """
+
+    actor: Params
+    boundary_actor: Params

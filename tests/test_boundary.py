@@ -1,0 +1,119 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+from hitl_jax import boundary
+from hitl_jax.types import BoundaryTransition
+
+
+@pytest.mark.parametrize(
+    ("indicator", "tau", "expected"),
+    [(0.5, 0.4, True), (-0.5, 0.4, True), (0.3, 0.4, False), (0.4, 0.4, True), (0.5, -0.6, False)],
+)
+def test_alarm_compares_absolute_values(indicator, tau, expected):
+    assert bool(boundary.alarm(jnp.array(indicator), jnp.array(tau))) is expected
+
+
+@pytest.mark.parametrize(
+    ("alarmed", "dangerous", "expected"),
+    [(True, True, 0.5 - 0.01), (True, False, 0.5 + 0.02), (False, True, 0.5), (False, False, 0.5)],
+)
+def test_the_rule_of_line_8(alarmed, dangerous, expected):
+    after = boundary.next_boundary(0.5, jnp.array(alarmed), jnp.array(dangerous), 0.01, 0.02)
+    np.testing.assert_allclose(after, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("alarmed", "dangerous", "expected"), [(1, 1, 3.0), (1, 0, -3.0), (0, 1, 0.0), (0, 0, 0.0)]
+)
+def test_boundary_reward(alarmed, dangerous, expected):
+    given = boundary.boundary_reward(jnp.array(alarmed, bool), jnp.array(dangerous, bool), 3.0)
+    assert float(given) == expected
+
+
+@pytest.mark.parametrize("precision", [0.3, 0.5, 0.8])
+@pytest.mark.parametrize("start", [0.2, 1.4])
+def test_the_rule_settles_at_the_target_precision(precision, start):
+    """On a stream whose danger grows with the angle, P(h=0 | C) settles at Δ⁺/(Δ⁻+Δ⁺)."""
+    delta_plus, delta_minus = 2e-3 * precision, 2e-3 * (1 - precision)
+    steps = 40_000
+
+    def step(tau, key):
+        angle_key, judge_key = jax.random.split(key)
+        angle = jax.random.uniform(angle_key, (), maxval=1.5)
+        # The human objects the more surely the larger the angle: P(h=0) = angle / 1.5.
+        dangerous = jax.random.uniform(judge_key) < angle / 1.5
+        alarmed = boundary.alarm(angle, tau)
+        after = boundary.next_boundary(tau, alarmed, dangerous, delta_minus, delta_plus)
+        return jnp.clip(after, 0.0, 1.5), (alarmed, alarmed & dangerous)
+
+    keys = jax.random.split(jax.random.key(0), steps)
+    _, (alarms, true_alarms) = jax.jit(lambda s: jax.lax.scan(step, s, keys))(jnp.array(start))
+    late = slice(steps // 2, None)
+    measured = true_alarms[late].sum() / alarms[late].sum()
+    # Above a boundary τ the precision is (1 + τ/1.5)/2, so targets below 1/2 end at τ = 0.
+    expected = max(precision, 0.5)
+    np.testing.assert_allclose(measured, expected, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "tau", "second"),
+    [("network", 0.0, 0.3, 0.0), ("residual", 0.0, 0.3, -0.1), ("rule", 0.7, 0.7, 0.6)],
+)
+def test_sources(name, first, tau, second):
+    source = boundary.get_source(name)
+    carry = source.init(jnp.array(0.7))
+    np.testing.assert_allclose(carry, first, rtol=1e-6)
+    now = source.boundary(carry, jnp.array(0.3))
+    np.testing.assert_allclose(now, tau, rtol=1e-6)
+    np.testing.assert_allclose(source.advance(carry, now, now - 0.1), second, atol=1e-6)
+
+
+def test_unknown_source():
+    with pytest.raises(ValueError, match="network, residual, rule"):
+        boundary.get_source("oracle")
+
+
+def _critic(params, observation, tau):
+    return params["w"] * observation[:, 0] + params["v"] * tau
+
+
+_SAMPLE = BoundaryTransition(
+    observation=jnp.array([[1.0], [2.0]]),
+    boundary=jnp.array([0.5, 0.4]),
+    reward=jnp.array([1.0, -1.0]),
+    discount=jnp.array([0.5, 0.0]),
+    next_observation=jnp.array([[2.0], [9.0]]),
+    next_boundary=jnp.array([0.4, 9.0]),
+)
+
+
+def test_critic_loss_by_hand():
+    params = {"w": jnp.array(1.0), "v": jnp.array(2.0)}
+    loss, _ = boundary.boundary_critic_loss(params, _critic, _SAMPLE)
+    # y = (1 + 1, 2 + 0.8) = (2, 2.8). Targets: 1 + 0.5 (2 + 0.8) = 2.4; terminated: -1.
+    # Errors (-0.4, 3.8): (0.16 + 14.44) / 2 = 7.3.
+    np.testing.assert_allclose(loss, 7.3, rtol=1e-6)
+    # Semi-gradient in v: mean of 2 error τ = (-0.4 * 0.5 + 3.8 * 0.4) = 1.32.
+    grad = jax.grad(lambda p: boundary.boundary_critic_loss(p, _critic, _SAMPLE)[0])(params)
+    np.testing.assert_allclose(grad["v"], 1.32, rtol=1e-5)
+
+
+def test_actor_loss_by_hand_and_its_gradient():
+    critic = {"w": jnp.array(1.0), "v": jnp.array(2.0)}
+
+    def actor(params, observation):
+        return params["g"] * observation[:, 0]
+
+    def loss(params):
+        return boundary.boundary_actor_loss(
+            params, actor, _critic, critic, _SAMPLE.observation
+        )[0]
+
+    params = {"g": jnp.array(0.5)}
+    # τ = (0.5, 1); Q = (1 + 1, 2 + 2); loss -3; d/dg = -mean(2 s) = -3: ascent raises τ.
+    np.testing.assert_allclose(loss(params), -3.0)
+    np.testing.assert_allclose(jax.grad(loss)(params)["g"], -3.0)
+    check_grads(loss, (params,), order=1, modes=["rev"], atol=1e-2, rtol=1e-2)

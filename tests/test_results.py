@@ -1,0 +1,351 @@
+"""What is on disk: round trips, atomicity, refusals that say why."""
+
+import json
+import os
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from hitl_jax import files, provenance, results
+from hitl_jax.results import (
+    EPISODE_COLUMNS,
+    TEST_COLUMNS,
+    ConfigMismatch,
+    ResultsError,
+    ResultsFolder,
+    RunKey,
+    write_text_atomic,
+)
+
+CONFIG = {"agent": {"learner": "td3", "hidden_sizes": (128, 128)}, "hyper": {"gamma": 0.98}}
+KEY = RunKey("hitl-ac", 3)
+
+
+def make_episodes(count: int = 4) -> dict[str, Any]:
+    ones = np.ones(count, np.int64)
+    table = dict.fromkeys(EPISODE_COLUMNS, ones)
+    table |= {
+        "episode": np.arange(1, count + 1),
+        "return": np.linspace(-100.0, 300.0, count) / 3.0,
+        "shaped_return": np.full(count, -0.1),
+        "env_steps": 100 * np.arange(1, count + 1),
+        "end": ["fall", "goal", "time-limit", "human-reset"][:count],
+        "mean_boundary": np.full(count, 0.7),
+        "final_boundary": np.full(count, np.nan),
+        "lead_steps": np.array([12.0, np.nan, np.nan, np.nan])[:count],
+    }
+    return table
+
+
+def make_tests() -> dict[str, Any]:
+    episodes = make_episodes(2)
+    return {n: episodes[n] for n in TEST_COLUMNS[1:]} | {"mode": ["autonomous", "assisted"]}
+
+
+def make_params() -> dict[str, np.ndarray]:
+    return {
+        "actor/layer_0/kernel": np.arange(6, dtype=np.float32).reshape(2, 3),
+        "actor/layer_0/bias": np.zeros(3, np.float32),
+    }
+
+
+def make_info(**changes: Any) -> dict[str, Any]:
+    info = {"config": {"gamma": 0.98}, "versions": {"numpy": "2"}, "commit": None}
+    info |= {"wall_seconds": np.float32(1.5), "env_steps": np.int64(400), "updates": 7}
+    return info | changes
+
+
+@pytest.fixture
+def folder(tmp_path):
+    folder = ResultsFolder(tmp_path / "out")
+    folder.create_or_resume(CONFIG, "python -m experiments.seed_sweep")
+    return folder
+
+
+def save(folder: ResultsFolder, key: RunKey = KEY) -> None:
+    folder.save_run(key, make_episodes(), make_tests(), make_params(), make_info())
+
+
+def everything_below(path) -> set[str]:
+    return {str(p.relative_to(path)) for p in path.rglob("*")}
+
+
+def test_a_run_comes_back_as_it_was_saved(folder):
+    save(folder)
+    assert folder.finished() == {KEY}
+    [run] = folder.load_all()
+    assert run.key == KEY
+    assert run.info["status"] == "finished"
+    assert run.info["wall_seconds"] == 1.5
+    assert tuple(run.episodes) == EPISODE_COLUMNS
+    assert tuple(run.tests) == TEST_COLUMNS
+    for name, values in make_episodes().items():
+        np.testing.assert_array_equal(run.episodes[name], values, err_msg=name)
+    assert run.episodes["episode"].dtype == np.int64
+    assert run.tests["mode"].tolist() == ["autonomous", "assisted"]
+    params = folder.load_params(KEY)
+    assert params.keys() == make_params().keys()
+    np.testing.assert_array_equal(params["actor/layer_0/kernel"], np.arange(6).reshape(2, 3))
+    assert params["actor/layer_0/kernel"].dtype == np.float32
+
+
+def test_the_files_are_for_common_tools(folder):
+    save(folder)
+    path = folder.path / "runs/hitl-ac/seed-0003"
+    assert everything_below(path) == {"run.json", "episodes.csv", "test.csv", "params.npz"}
+    frame = pd.read_csv(path / "episodes.csv")
+    assert tuple(frame.columns) == EPISODE_COLUMNS
+    assert frame["final_boundary"].isna().all()
+    assert frame["lead_steps"].isna().tolist() == [False, True, True, True]
+    assert frame["env_steps"].tolist() == [100, 200, 300, 400]
+    np.testing.assert_allclose(frame["return"], make_episodes()["return"], rtol=1e-14)
+    assert pd.read_csv(path / "test.csv")["mode"].tolist() == ["autonomous", "assisted"]
+    with np.load(path / "params.npz", allow_pickle=False) as archive:
+        assert set(archive.files) == set(make_params())
+    assert json.loads((path / "run.json").read_text())["seed"] == 3
+    config = json.loads((folder.path / "config.json").read_text())
+    assert config["command"] == "python -m experiments.seed_sweep"
+    assert config["versions"]["numpy"] == np.__version__
+
+
+def test_a_run_without_tests_is_fine(folder):
+    none = {name: [] for name in TEST_COLUMNS}
+    folder.save_run(KEY, make_episodes(), none, make_params(), make_info())
+    assert len(folder.load_run(KEY).tests["return"]) == 0
+
+
+def test_runs_are_listed_by_method_then_seed(folder):
+    for key in (RunKey("hitl-ac", 0), RunKey("srl", 10), RunKey("srl", 2), RunKey("hitl-fix", 1)):
+        save(folder, key)
+    names = [str(run.key) for run in folder.load_all()]
+    assert names == ["srl seed 2", "srl seed 10", "hitl-fix seed 1", "hitl-ac seed 0"]
+
+
+def test_a_finished_run_is_not_overwritten(folder):
+    save(folder)
+    with pytest.raises(ResultsError, match="seed-0003: this run is finished already"):
+        save(folder)
+
+
+@pytest.mark.parametrize("failing", ["test.csv", "run.json", "rename"])
+def test_a_failure_while_saving_leaves_nothing(folder, monkeypatch, failing):
+    before = everything_below(folder.path)
+    real = files._write_synced
+
+    def write(path, data):
+        if path.name == failing:
+            path.write_bytes(data[:10])
+            raise OSError(28, "No space left on device")
+        real(path, data)
+
+    def rename(source, target):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "_write_synced", write)
+        if failing == "rename":
+            patch.setattr(os, "rename", rename)
+        with pytest.raises(ResultsError, match="seed-0003: No space left on device"):
+            save(folder)
+    assert everything_below(folder.path) - before <= {"runs", "runs/hitl-ac"}
+    assert folder.finished() == set()
+    folder.create_or_resume(CONFIG, "again")
+    save(folder)
+    assert folder.finished() == {KEY}
+
+
+def test_a_killed_process_leaves_what_a_resume_removes(folder):
+    save(folder, RunKey("srl", 0))
+    whole = everything_below(folder.path)
+    # As after a kill -9 in the middle of `save_run` and of `write_partial`.
+    half = folder.path / "runs/srl/.tmp-seed-0001"
+    half.mkdir()
+    (half / "episodes.csv").write_text("episode,ret")
+    (folder.path / "partial").mkdir()
+    (folder.path / "partial/.tmp-srl-seed-0002.csv").write_text("epi")
+    assert folder.finished() == {RunKey("srl", 0)}
+    assert folder.load_partials() == {}
+    folder.create_or_resume(CONFIG, "again")
+    assert everything_below(folder.path) == whole | {"partial"}
+
+
+def test_an_atomic_write_keeps_the_old_text(tmp_path, monkeypatch):
+    path = tmp_path / "new" / "summary.md"
+    write_text_atomic(path, "old")
+
+    def fail(source, target):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(KeyboardInterrupt):
+        write_text_atomic(path, "new")
+    assert path.read_text() == "old"
+    assert everything_below(path.parent) == {"summary.md"}
+
+
+def test_partial_episodes_are_replaced_and_give_way_to_the_run(folder):
+    folder.write_partial(KEY, make_episodes(2))
+    folder.write_partial(KEY, make_episodes(3))
+    [(key, episodes)] = folder.load_partials().items()
+    assert (key, len(episodes["return"])) == (KEY, 3)
+    save(folder)
+    assert folder.load_partials() == {}  # even before the file is removed
+    folder.remove_partial(KEY)
+    folder.remove_partial(KEY)
+    assert everything_below(folder.path / "partial") == set()
+
+
+def test_the_same_config_resumes(folder):
+    folder.create_or_resume(CONFIG, "another command")
+    assert folder.load_config() == {
+        "agent": {"learner": "td3", "hidden_sizes": [128, 128]},
+        "hyper": {"gamma": 0.98},
+    }
+    assert "seed_sweep" in (folder.path / "config.json").read_text()
+
+
+def test_another_config_is_refused_by_its_differences(folder):
+    other = {"agent": {"learner": "ddpg", "hidden_sizes": [128, 128]}, "hyper": {"tau": 1}}
+    with pytest.raises(ConfigMismatch) as caught:
+        folder.create_or_resume(other, "command")
+    assert str(caught.value) == (
+        f'{folder.path}: made with another config: agent.learner: folder has "td3", asked for '
+        '"ddpg"; hyper.gamma: folder has 0.98, asked for nothing; hyper.tau: folder has nothing, '
+        "asked for 1"
+    )
+
+
+def test_many_differences_are_cut_at_five(tmp_path):
+    folder = ResultsFolder(tmp_path)
+    folder.create_or_resume({f"k{i}": 0 for i in range(8)}, "command")
+    with pytest.raises(ConfigMismatch) as caught:
+        folder.create_or_resume({f"k{i}": 1 for i in range(8)}, "command")
+    message = str(caught.value)
+    assert message.count("folder has") == 5
+    assert message.endswith("; and 3 more")
+    assert "\n" not in message
+
+
+def test_folders_that_cannot_be_used(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ResultsError, match="file: is a file, not a folder"):
+        ResultsFolder(tmp_path / "file").create_or_resume(CONFIG, "command")
+    with pytest.raises(ResultsError, match="Not a directory"):
+        ResultsFolder(tmp_path / "file/below").create_or_resume(CONFIG, "command")
+    with pytest.raises(ResultsError, match=r"holds other files \(file\) and no config.json"):
+        ResultsFolder(tmp_path).create_or_resume(CONFIG, "command")
+    with pytest.raises(ResultsError, match="no results here"):
+        ResultsFolder(tmp_path / "nothing").load_config()
+
+    def refuse(**_):
+        raise OSError(30, "Read-only file system")
+
+    # A test may run as root, who can write anywhere.
+    monkeypatch.setattr(results.tempfile, "TemporaryFile", refuse)
+    with pytest.raises(ResultsError, match="new: Read-only file system"):
+        ResultsFolder(tmp_path / "new").create_or_resume(CONFIG, "command")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("run.json", "{", "damaged: Expecting property name"),
+        ("run.json", '{"format": 2}', "is not of format 1"),
+        ("run.json", '{"format": 1}', "damaged: lacks config"),
+        ("run.json", None, "No such file"),
+        ("episodes.csv", "", "damaged: the header is not episode,return"),
+        ("episodes.csv", "episode,return\n", "damaged: the header"),
+        ("episodes.csv", b"\xff\xfe", "damaged: .*decode"),
+        ("test.csv", ",".join(TEST_COLUMNS) + "\nassisted,1\n", "damaged: line 2 has 2 of 14"),
+        ("test.csv", None, "No such file"),
+    ],
+)
+def test_a_damaged_run_names_the_file_in_one_line(folder, name, content, says):
+    save(folder)
+    path = folder.path / "runs/hitl-ac/seed-0003" / name
+    path.unlink()
+    if content is not None:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ResultsError, match=f"{name}: {says}") as caught:
+        folder.load_all()
+    assert "\n" not in str(caught.value)
+
+
+def test_damaged_cells_are_named(folder):
+    save(folder)
+    path = folder.path / "runs/hitl-ac/seed-0003/episodes.csv"
+    text = path.read_text()
+    for old, new, says in (
+        ("goal", "gaol", "column 'end' holds 'gaol'"),
+        ("-0.1", "zero", "column 'shaped_return': could not convert"),
+        ("-0.1", "", "column 'shaped_return' holds a value that is missing"),
+        ("\n2,", "\n2.5,", "column 'episode' holds a value that is not a whole number"),
+        ("12.0\n", "12.0", "line 2 has 31 of 16 cells"),
+    ):
+        path.write_text(text.replace(old, new, 1))
+        with pytest.raises(ResultsError, match=f"episodes.csv: damaged: {says}"):
+            folder.load_run(KEY)
+    path.write_text(text[:-1])
+    with pytest.raises(ResultsError, match="line 5 is cut short"):
+        folder.load_run(KEY)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut", b"not an archive"])
+def test_damaged_parameters(folder, content):
+    save(folder)
+    (folder.path / "runs/hitl-ac/seed-0003/params.npz").write_bytes(content)
+    with pytest.raises(ResultsError, match=r"params.npz: damaged"):
+        folder.load_params(KEY)
+
+
+def test_what_may_not_be_saved(folder):
+    columns = make_episodes()
+    wrong = {n: v for n, v in columns.items() if n != "fall"} | {"falls": columns["fall"]}
+    with pytest.raises(ValueError, match=r"columns missing: \['fall'\], unknown: \['falls'\]"):
+        folder.save_run(KEY, wrong, make_tests(), make_params(), make_info())
+    with pytest.raises(ValueError, match="differ in length"):
+        folder.write_partial(KEY, columns | {"fall": [0]})
+    info = {n: v for n, v in make_info().items() if n != "updates"}
+    with pytest.raises(ValueError, match="info lacks updates"):
+        folder.save_run(KEY, columns, make_tests(), make_params(), info)
+    with pytest.raises(ValueError, match="'a' is not an array of numbers"):
+        folder.save_run(KEY, columns, make_tests(), {"a": np.array([{}])}, make_info())
+    with pytest.raises(ValueError, match="not a method"):
+        RunKey("../up", 0)
+    assert folder.finished() == set()
+
+
+def test_provenance(tmp_path, monkeypatch):
+    found = provenance.versions()
+    assert found["numpy"] == np.__version__
+    assert {"python", "jax", "gymnasium"} <= set(found)
+    # A stand-in repository: the commit of this one changes from day to day.
+    code = tmp_path / "code.py"
+    code.write_text("")
+    monkeypatch.setattr(provenance, "__file__", str(code))
+    assert provenance.git_commit() is None
+
+    def git(*arguments):
+        identity = ["-c", "user.name=n", "-c", "user.email=e@example.org"]
+        subprocess.run(["git", *identity, *arguments], cwd=tmp_path, check=True)
+
+    git("init", "-q")
+    assert provenance.git_commit() is None  # not tracked: a package below somebody's checkout
+    git("add", "code.py")
+    git("commit", "-q", "--no-verify", "-m", "m")
+    clean = provenance.git_commit()
+    assert clean is not None
+    assert len(clean) == 40
+    code.write_text("changed")
+    assert provenance.git_commit() == clean + "-dirty"
+
+
+def test_reading_results_needs_no_jax():
+    names = "results, stats, summary, figures, files, tables, provenance"
+    code = f"import sys\nfrom hitl_jax import {names}\n"
+    code += "assert not {'jax', 'pandas', 'gymnasium', 'matplotlib.pyplot'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
