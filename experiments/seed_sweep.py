@@ -53,9 +53,14 @@ def main(options: SweepOptions) -> int:
         config = _config(options)
         if options.backend == "envpool":
             make_pool("envpool", 1).close()  # a missing extra is noticed before the folder is made
-        folder.create_or_resume(config, shlex.join(["python", "-m", "experiments.seed_sweep", *sys.argv[1:]]))
+        command = shlex.join(["python", "-m", "experiments.seed_sweep", *sys.argv[1:]])
+        folder.create_or_resume(config, command)
     seeds = range(options.first_seed, options.first_seed + options.seeds)
-    wanted = [RunSpec(Method(m), seed, hyper_for(Method(m), options.hyper)) for seed in seeds for m in options.methods]
+    wanted = [
+        RunSpec(method, seed, hyper_for(method, options.hyper))
+        for seed in seeds
+        for method in map(Method, options.methods)
+    ]
     finished = folder.finished()
     specs = [spec for spec in wanted if RunKey(spec.method, spec.seed) not in finished]
     use_all_cores()
@@ -72,8 +77,8 @@ def main(options: SweepOptions) -> int:
             flush=True,
         )
         return 130
-    for path in _draw(folder):
-        print(path)
+    for line in _draw(folder):
+        print(line)
     return 0
 
 
@@ -215,10 +220,11 @@ def _columns(rows: list[dict[str, Any]], names: tuple[str, ...]) -> dict[str, li
 
 
 def _draw(folder: ResultsFolder) -> list[Any]:
-    """Writes summary and figures; the paths written."""
+    """Writes summary and figures; the paths written, and notes on what could not be drawn."""
     rng = np.random.default_rng(STATISTICS_SEED)
-    write_summary(folder, rng)
-    return figures.draw_all(folder, rng)
+    tables = write_summary(folder, rng)
+    paths, notes = figures.draw_all(folder, rng)
+    return [*tables, *paths, *notes]
 
 
 if __name__ == "__main__":

@@ -103,6 +103,11 @@ class Agent(NamedTuple):
         return networks.Critics(self.config.hidden_sizes, self.config.num_critics)
 
     @property
+    def first_critic(self) -> networks.Critics:
+        """Q_1, the critic that the actor follows."""
+        return networks.Critics(self.config.hidden_sizes, 1)
+
+    @property
     def boundary_actor(self) -> networks.BoundaryActor:
         """π_θ."""
         return networks.BoundaryActor(self.config.boundary_hidden_sizes)
@@ -257,12 +262,8 @@ def act(
     arbiter_state, ruling = arbiter.rule(
         state.arbiter, agent.config.intervention, alarmed, objects, hyper.takeover_steps
     )
-    source_key, source_noise_key = jax.random.split(source_key)
-    source_state, human_action = agent.source.act(state.source, observation, source_key)
-    human_noise = hyper.human_action_noise * jax.random.normal(
-        source_noise_key, human_action.shape
-    )
-    human_action = jnp.clip(human_action + human_noise, -1.0, 1.0)
+    hands = human_actions.with_noise(agent.source, hyper.human_action_noise)
+    source_state, human_action = hands.act(state.source, observation, source_key)
 
     decision = Decision(
         action=jnp.where(ruling.human_action, human_action, machine_action),
@@ -323,7 +324,7 @@ def update(
     learner = learner.replace(critic=critic, critic_optimizer=critic_optimizer)
     if update_actor:
         grads, actor_metrics = jax.grad(losses.actor_loss, has_aux=True)(
-            learner.actor, agent.actor.apply, agent.critic.apply, critic, batch.observation
+            learner.actor, agent.actor.apply, agent.first_critic.apply, critic, batch.observation
         )
         actor, actor_optimizer = _descend(
             learner.actor, grads, learner.actor_optimizer, hyper.actor_learning_rate

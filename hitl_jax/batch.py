@@ -17,6 +17,7 @@ from typing import NamedTuple
 import chex
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
@@ -85,7 +86,7 @@ def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, 
 def make_mesh(devices: list[jax.Device] | None = None) -> Mesh:
     """A mesh of one axis, `runs`, over the given devices (all, by default)."""
     devices = devices or jax.devices()
-    return jax.make_mesh((len(devices),), (AXIS,), devices=devices)
+    return Mesh(np.array(devices), (AXIS,))
 
 
 def empty_seats(agent: Agent, num_runs: int, capacity: int, mesh: Mesh, like: RunHyper) -> Seats:

@@ -86,7 +86,7 @@ def actor_loss(
     Args:
         actor: parameters of μ.
         apply_actor: maps (parameters, [B, O]) to actions [B, A].
-        apply_critic: maps (parameters, [B, O], [B, A]) to values [E, B].
+        apply_critic: maps (parameters of one critic, [B, O], [B, A]) to values [1, B].
         critic: parameters of the stacked critics; only the first critic is followed, as in TD3.
         observation: [B, O].
 

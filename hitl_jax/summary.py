@@ -78,9 +78,10 @@ Returns are the environment's own reward; the human's feedback is left out. The 
 neither human nor arbiter, the assisted test has both. An interquartile mean leaves out the best and
 the worst quarter of the seeds (rounded down). Intervals come from resampling seeds: they speak of
 other seeds of this setting, not of other tasks, and with fewer than about five seeds they are too
-narrow; one seed has none. "(n = 7)" marks a measure that only 7 of the finished seeds have, "–" one
-that none has. For alarms and falls, k is the window that the runs were recorded with. A probability
-of improvement of 0.5 is no difference, and an interval that holds 0.5 decides nothing."""
+narrow; what is the same in all seeds gets no width, and one seed has no interval. "(n = 7)" marks a
+measure that only 7 of the finished seeds have, "–" one that none has. For alarms and falls, k is
+the window that the runs were recorded with. A probability of improvement of 0.5 is no difference,
+and an interval that holds 0.5 decides nothing."""
 
 
 def summarise(folder: ResultsFolder) -> tuple[Row, ...]:

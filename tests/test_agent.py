@@ -1,0 +1,178 @@
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hitl_jax import agent as agents
+from hitl_jax import replay
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+
+
+def _probe_agent(learner, n_step=1):
+    config = AgentConfig(
+        learner=learner,
+        hidden_sizes=(32, 32),
+        batch_size=64,
+        n_step=n_step,
+        observation_size=1,
+        action_size=1,
+    )
+    return agents.make_agent(config)
+
+
+def _probe_hyper(**changes):
+    hyper = Hyper(target_step_size=0.05, target_noise=0.0, **changes)
+    return hyper_for(Method.SRL, hyper)
+
+
+def _train(agent, hyper, frames, updates):
+    memory = replay.add(replay.init(frames.shape[1], 1, agent.layout), frames)
+    state = agents.init(agent, jax.random.key(0))
+    learn = jax.jit(lambda s: agents.learn(agent, hyper, s, memory, jnp.int32(0), updates))
+    return learn(state)
+
+
+@pytest.mark.parametrize("learner", ["ddpg", "td3"])
+def test_learns_a_policy_of_known_value(learner):
+    """One-step episodes with r = 1 − (a − s/2)²: μ(s) = s/2 and Q(s, μ(s)) = 1."""
+    agent = _probe_agent(learner)
+    rng = np.random.default_rng(0)
+    frames = np.zeros((1, 4096, agent.layout.width), np.float32)
+    steps, finals = frames[0, 0::2], frames[0, 1::2]
+    steps[:, 0] = rng.uniform(-1, 1, len(steps))
+    steps[:, 1] = rng.uniform(-1, 1, len(steps))
+    steps[:, agent.layout.reward] = 1 - (steps[:, 1] - steps[:, 0] / 2) ** 2
+    steps[:, agent.layout.terminated] = 1
+    finals[:, agent.layout.final] = 1
+    state = _train(agent, _probe_hyper(), frames, 2000)
+    observation = jnp.linspace(-0.9, 0.9, 7)[:, None]
+    action = agent.actor.apply(state.learner.actor, observation)
+    np.testing.assert_allclose(action, observation / 2, atol=0.1)
+    q = agent.critic.apply(state.learner.critic, observation, action)
+    np.testing.assert_allclose(q, np.ones_like(q), atol=0.05)
+
+
+@pytest.mark.parametrize("learner", ["ddpg", "td3"])
+@pytest.mark.parametrize("n_step", [1, 3])
+@pytest.mark.parametrize(("ending", "last"), [("terminated", 1.0), ("truncated", 2.0)])
+def test_bootstraps_through_time_limits_and_not_through_ends(learner, n_step, ending, last):
+    """Two steps of reward 1, γ = 1/2, then an ending in a state of value 2.
+
+    Terminated: Q = (1.5, 1). Truncated at a state where every step gives 1 for ever, Q = 2
+    everywhere, which is what a bootstrap at the time limit must give.
+    """
+    agent = _probe_agent(learner, n_step)
+    episodes = 512
+    frames = np.zeros((1, 3 * episodes, agent.layout.width), np.float32)
+    layout = agent.layout
+    frames[0, :, 0] = np.tile([-1.0, 1.0, 1.0], episodes)
+    frames[0, :, 1] = np.random.default_rng(0).uniform(-1, 1, 3 * episodes)
+    frames[0, :, layout.reward] = np.tile([1.0, 1.0, 0.0], episodes)
+    frames[0, 1::3, getattr(layout, ending)] = 1
+    frames[0, 2::3, layout.final] = 1
+    state = _train(agent, _probe_hyper(gamma=0.5), frames, 2000)
+    action = jnp.zeros((1, 1))
+    first = agent.critic.apply(state.learner.critic, -jnp.ones((1, 1)), action)
+    second = agent.critic.apply(state.learner.critic, jnp.ones((1, 1)), action)
+    np.testing.assert_allclose(second, np.full_like(second, last), atol=0.08)
+    np.testing.assert_allclose(first, np.full_like(first, 1 + last / 2), atol=0.08)
+
+
+def _act_many(agent, hyper, observations, key=None):
+    """Decisions along a sequence of observations [T, O]."""
+    state = agents.init_acting(agent, hyper, jax.random.key(0) if key is None else key)
+    params = agents.behavior(agents.init(agent, jax.random.key(1)))
+
+    def step(state, observation):
+        return agents.act(agent, hyper, params, state, observation)
+
+    return jax.jit(lambda s: jax.lax.scan(step, s, observations))(state)
+
+
+def _walk(angles):
+    return jnp.zeros((len(angles), 24)).at[:, 0].set(jnp.asarray(angles))
+
+
+def test_act_follows_algorithm_1_on_a_walk_by_hand():
+    agent = agents.make_agent(AgentConfig(boundary_source="rule", intervention="reset"))
+    hyper = hyper_for(Method.HITL_AC, Hyper(initial_boundary=0.5, delta_minus=0.1, delta_plus=0.2))
+    # tolerance 0.45. |c| against τ:      .4<.5  .6≥.5,h=0  .42≥.4,h=1  .5<.6  .7≥.6,h=0
+    state, decision = _act_many(agent, hyper, _walk([0.4, -0.6, 0.42, 0.5, 0.7]))
+    np.testing.assert_allclose(decision.boundary, [0.5, 0.5, 0.4, 0.6, 0.6], rtol=1e-6)
+    np.testing.assert_allclose(decision.next_boundary, [0.5, 0.4, 0.6, 0.6, 0.5], rtol=1e-6)
+    assert decision.alarmed.tolist() == [False, True, True, False, True]
+    assert decision.control.tolist() == [False, True, False, False, True]
+    assert decision.human_reset.tolist() == decision.control.tolist()
+    np.testing.assert_allclose(decision.boundary_reward, [0, 1, -1, 0, 1])
+    np.testing.assert_allclose(state.boundary, 0.5, rtol=1e-6)
+
+
+def test_methods_differ_by_the_boundary_alone():
+    agent = agents.make_agent(AgentConfig())
+    walk = _walk([0.2, 0.8, 0.46, 0.8])
+    decisions = {m: _act_many(agent, hyper_for(m, Hyper()), walk)[1] for m in Method}
+    srl, fix, ac = (decisions[m] for m in (Method.SRL, Method.HITL_FIX, Method.HITL_AC))
+    chex.assert_trees_all_equal(srl.action, fix.action, ac.action)
+    assert not srl.alarmed.any() and not srl.control.any()
+    np.testing.assert_allclose(fix.boundary, 0.7)
+    np.testing.assert_allclose(ac.boundary, [0.7, 0.7, 0.699, 0.699], rtol=1e-6)
+
+
+def test_the_boundary_stays_in_its_range():
+    agent = agents.make_agent(AgentConfig())
+    hyper = Hyper(initial_boundary=0.3, boundary_low=0.25, delta_minus=0.1)
+    state, decision = _act_many(agent, hyper_for(Method.HITL_AC, hyper), _walk([0.9] * 5))
+    np.testing.assert_allclose(decision.next_boundary, [0.25] * 5, rtol=1e-6)
+    np.testing.assert_allclose(state.boundary, 0.25, rtol=1e-6)
+
+
+@pytest.mark.parametrize("source", ["network", "residual"])
+def test_a_learned_source_starts_at_tau_0(source):
+    agent = agents.make_agent(AgentConfig(boundary_source=source))
+    hyper = hyper_for(Method.HITL_AC, Hyper(boundary_noise=0.0, delta_minus=0.1))
+    _, decision = _act_many(agent, hyper, _walk([0.2, 0.8, 0.2]))
+    after = 0.6 if source == "residual" else 0.7
+    np.testing.assert_allclose(decision.boundary, [0.7, 0.7, after], rtol=1e-5)
+    np.testing.assert_allclose(decision.next_boundary[1], 0.6, rtol=1e-5)
+
+
+def test_takeover_executes_the_human_action():
+    agent = agents.make_agent(AgentConfig(intervention="takeover"))
+    hyper = hyper_for(Method.HITL_AC, Hyper(takeover_steps=2, warmup_steps=0))
+    walk = _walk([0.2, 0.9, 0.2, 0.2])
+    _, decision = _act_many(agent, hyper, walk)
+    assert decision.human_action.tolist() == [False, True, True, False]
+    # The scripted walker has watched from the first step.
+    state, expected = agent.source.init(), []
+    for observation in walk:
+        state, action = agent.source.act(state, observation, jax.random.key(0))
+        expected.append(action)
+    np.testing.assert_allclose(decision.action[1:3], jnp.stack(expected)[1:3], atol=1e-6)
+
+
+def test_an_absent_human_changes_nothing_but_is_recorded():
+    agent = agents.make_agent(AgentConfig(intervention="takeover"))
+    hyper = hyper_for(Method.HITL_FIX, Hyper()).replace(human_present=0.0)
+    _, decision = _act_many(agent, hyper, _walk([0.9, 0.9]))
+    assert decision.alarmed.all() and decision.dangerous.all()
+    assert not decision.control.any()
+
+
+def test_exploration_noise_has_its_scale_and_correlation():
+    agent = agents.make_agent(AgentConfig())
+    hyper = Hyper(exploration_noise=0.1, noise_correlation=0.8, warmup_steps=0)
+    params = agents.behavior(agents.init(agent, jax.random.key(1)))
+    observations = _walk([0.0] * 20_000)
+    _, decision = _act_many(agent, hyper_for(Method.SRL, hyper), observations)
+    noise = np.asarray(decision.action - agent.actor.apply(params.actor, observations))
+    # Standard errors: 0.1 sqrt((1 + 0.8²) / (1 − 0.8²) / 2T) = 0.0011, and about 0.0042 for r.
+    np.testing.assert_allclose(noise.std(axis=0), 0.1, atol=0.005)
+    correlation = [np.corrcoef(n[:-1], n[1:])[0, 1] for n in noise.T]
+    np.testing.assert_allclose(correlation, 0.8, atol=0.02)
+
+
+def test_updates_must_keep_step_with_the_policy_delay():
+    agent = _probe_agent("td3")
+    with pytest.raises(ValueError, match="policy delay 2"):
+        _train(agent, _probe_hyper(), np.zeros((1, 8, agent.layout.width), np.float32), 3)

@@ -1,0 +1,196 @@
+"""Figures from whatever is there: full results, early ones, one seed, nothing."""
+
+import subprocess
+import sys
+import xml.etree.ElementTree
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+
+from experiments import figures as command
+from hitl_jax import figures
+from hitl_jax.figures import draw_all
+from hitl_jax.results import EPISODE_COLUMNS, METHODS, TEST_COLUMNS, ResultsFolder, RunKey
+
+INFO = {"config": {}, "versions": {}, "commit": None, "updates": 1}
+NAMES = (
+    "figure4_training",
+    "figure4_steps",
+    "figure5_test",
+    "figure6_boundary",
+    "figure7_human",
+)
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def make_training(method: str, seed: int, count: int = 40) -> dict[str, Any]:
+    noise = np.random.default_rng([METHODS.index(method), seed])
+    human = method != "srl"
+    columns = dict.fromkeys(EPISODE_COLUMNS, np.zeros(count)) | {
+        "episode": np.arange(1, count + 1),
+        "return": np.linspace(-100.0, 300.0, count) + noise.normal(0.0, 20.0, count),
+        "env_steps": np.cumsum(noise.integers(50, 1600, count)),
+        "interventions": noise.integers(0, 2, count) * human,
+        "end": ["fall"] * count,
+    }
+    boundary = np.full(count, 0.7 if human else np.nan)
+    return columns | {"mean_boundary": boundary, "final_boundary": boundary}
+
+
+def make_tests(method: str, modes: tuple[str, ...] = ("autonomous", "assisted")) -> dict[str, Any]:
+    mode = [mode for mode in modes for _ in range(5)]
+    columns = dict.fromkeys(TEST_COLUMNS, np.zeros(len(mode))) | {"end": ["goal"] * len(mode)}
+    return columns | {"mode": mode, "return": 200.0 + 10.0 * np.arange(len(mode))}
+
+
+def save(folder: ResultsFolder, method: str, seed: int, **modes: Any) -> None:
+    info = INFO | {"wall_seconds": 1.0, "env_steps": 1}
+    folder.save_run(
+        RunKey(method, seed), make_training(method, seed), make_tests(method, **modes), {}, info
+    )
+
+
+def text_of(figure) -> str:
+    legends = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    labels = [f"{axes.get_xlabel()} {axes.get_ylabel()}" for axes in figure.axes]
+    return "\n".join(legends + labels)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    folder = ResultsFolder(tmp_path / "out")
+    folder.create_or_resume({"agent": {"indicator": "hull_angle"}}, "command")
+    return folder
+
+
+@pytest.fixture
+def drawn(monkeypatch) -> dict[str, Any]:
+    """The figures by name, kept instead of written."""
+    kept: dict[str, Any] = {}
+
+    def keep(figure, stem):
+        figure.draw_without_rendering()
+        kept[stem.name] = figure
+        return [stem]
+
+    monkeypatch.setattr(figures, "_save", keep)
+    return kept
+
+
+def test_full_results_give_every_figure_twice(folder):
+    for method in METHODS:
+        for seed in range(3):
+            save(folder, method, seed)
+    before = dict(matplotlib.rcParams)
+    paths, notes = draw_all(folder, rng())
+    assert dict(matplotlib.rcParams) == before
+    assert notes == []
+    written = sorted(p.name for p in (folder.path / "figures").iterdir())
+    assert written == sorted(f"{name}.{kind}" for name in NAMES for kind in ("png", "svg"))
+    assert sorted(p.name for p in paths) == written
+    for path in paths:
+        if path.suffix == ".svg":
+            assert xml.etree.ElementTree.parse(path).getroot().tag.endswith("svg")
+        else:
+            data = path.read_bytes()
+            assert data.startswith(b"\x89PNG")
+            # The header's width: a paper's column of 3.5 inches at 150 dots and more.
+            assert int.from_bytes(data[16:20]) >= 3.5 * 150
+
+
+def test_early_results_draw_what_there_is(folder, drawn):
+    for seed, count in ((0, 30), (1, 12)):
+        folder.write_partial(RunKey("hitl-ac", seed), make_training("hitl-ac", seed, count))
+    folder.write_partial(RunKey("srl", 0), make_training("srl", 0, 2))
+    folder.write_partial(RunKey("srl", 1), make_training("srl", 1, 0))
+    _, notes = draw_all(folder, rng())
+    assert notes == ["figure5_test: no data for it yet"]
+    text = text_of(drawn["figure4_training"])
+    assert "HITL-AC (2 seeds, 2 unfinished)" in text
+    assert "SRL (no band: one seed, 1 unfinished)" in text
+    assert "(mean of the last 20 episodes)" in text
+    lines = drawn["figure4_training"].axes[0].get_lines()
+    # Two seeds of episodes 1 to 30 and 1 to 12: half of them reach the end.
+    assert lines[1].get_xdata()[-1] == 30
+    assert lines[0].get_color() == "#D55E00"
+    assert "SRL" not in text_of(drawn["figure6_boundary"])
+
+
+def test_one_finished_run_of_one_method(folder, drawn):
+    save(folder, "srl", 0, modes=("autonomous",))
+    _, notes = draw_all(folder, rng())
+    assert [note.split(":")[0] for note in notes] == ["figure6_boundary", "figure7_human"]
+    assert "SRL (no interval: one seed)" in text_of(drawn["figure5_test"])
+
+
+@pytest.mark.parametrize("modes", [(), ("assisted",)])
+def test_runs_without_autonomous_tests_skip_figure_5(folder, drawn, modes):
+    save(folder, "hitl-fix", 0, modes=modes)
+    _, notes = draw_all(folder, rng())
+    assert notes == ["figure5_test: no data for it yet"]
+
+
+def test_figure_5_shows_the_means_of_the_tests(folder, drawn):
+    save(folder, "hitl-ac", 0)
+    draw_all(folder, rng())
+    left, right = drawn["figure5_test"].axes
+    np.testing.assert_array_equal(left.get_lines()[0].get_ydata(), 200.0 + 10.0 * np.arange(5))
+    heights = [line.get_ydata()[0] for line in right.get_lines()[:4]]
+    # Autonomous 200 … 240, assisted 250 … 290: the seed's dot, then the mean over the one seed.
+    assert heights == [220.0, 220.0, 270.0, 270.0]
+
+
+def test_the_solved_line_is_always_in_view(folder, drawn):
+    folder.write_partial(RunKey("hitl-fix", 0), make_training("hitl-fix", 0, 3))
+    draw_all(folder, rng())
+    for name in ("figure4_training", "figure4_steps", "figure6_boundary", "figure7_human"):
+        low, high = drawn[name].axes[-1].get_ylim()
+        assert low < -90.0
+        assert high > 300.0
+
+
+def test_another_indicator_is_not_called_radians(tmp_path, drawn):
+    folder = ResultsFolder(tmp_path / "other")
+    folder.create_or_resume({"agent": {"indicator": "hull_velocity"}}, "command")
+    folder.write_partial(RunKey("hitl-ac", 0), make_training("hitl-ac", 0, 3))
+    draw_all(folder, rng())
+    assert "boundary [unit of hull_velocity]" in text_of(drawn["figure6_boundary"])
+
+
+def test_the_same_data_give_the_same_files(folder):
+    folder.write_partial(RunKey("hitl-ac", 0), make_training("hitl-ac", 0, 5))
+    first, second = ([p.read_bytes() for p in draw_all(folder, rng())[0]] for _ in range(2))
+    assert first == second
+
+
+def test_command_prints_the_files(folder, capsys):
+    folder.write_partial(RunKey("srl", 0), make_training("srl", 0, 5))
+    assert command.main([str(folder.path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert str(folder.path / "figures/figure4_training.png") in lines
+    assert "figure5_test: no data for it yet" in lines
+
+
+def test_command_refuses_in_one_line(folder, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    for path, says in (
+        (tmp_path / "nowhere", "no results here (no config.json)"),
+        (tmp_path / "empty", "no results here (no config.json)"),
+        (folder.path, "no episode has been saved yet"),
+    ):
+        assert command.main([str(path)]) == 2
+        captured = capsys.readouterr()
+        assert captured.err == f"error: {path}: {says}\n"
+        assert captured.out == ""
+
+
+def test_command_runs_as_a_module(folder):
+    arguments = [sys.executable, "-m", "experiments.figures", str(folder.path)]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == f"error: {folder.path}: no episode has been saved yet\n"

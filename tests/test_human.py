@@ -1,0 +1,453 @@
+import dataclasses
+import math
+
+import chex
+import hypothesis
+import hypothesis.strategies as st
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hitl_jax import human
+from hitl_jax.human import HumanParams
+
+KEY = jax.random.key(0)
+FALSE = jnp.zeros((), bool)
+STILL = jnp.zeros(24)
+quick = hypothesis.settings(max_examples=40, deadline=None, derandomize=True)
+
+
+def _bools(text):
+    return np.array([letter == "1" for letter in text])
+
+
+def _observation(angle, velocity=0.0):
+    """Of a hull at `angle` [rad] that turns at `velocity` [rad/s]."""
+    return jnp.zeros(24).at[0].set(angle).at[1].set(velocity / 25)
+
+
+def _judge(part, params, dangerous, state=None, key=KEY, eager=True):
+    """Feeds judgements [T] to a part, and lets an intervention begin where the part agrees.
+
+    Returns:
+        The part's judgements [T] and its last state.
+    """
+
+    def step(state, inputs):
+        key, before = inputs
+        state, after = part.judge(state, params, STILL, before, key)
+        return part.notify(state, params, jnp.logical_and(after, eager)), after
+
+    keys = jax.random.split(key, len(dangerous))
+    state = part.init() if state is None else state
+    state, after = jax.lax.scan(step, state, (keys, jnp.asarray(dangerous)))
+    return np.asarray(after), state
+
+
+class TestDanger:
+    @pytest.mark.parametrize(
+        ("angle", "expected"), [(0.5, True), (-0.5, True), (0.4, False), (-0.4, False)]
+    )
+    def test_threshold_takes_the_absolute_angle(self, angle, expected):
+        part = human.threshold()
+        params = HumanParams(tolerance=0.45)
+        # The velocity and what was judged before do not matter.
+        for before in (False, True):
+            seen = _observation(angle, velocity=9.0)
+            _, dangerous = part.judge(part.init(), params, seen, jnp.array(before), KEY)
+            assert bool(dangerous) is expected
+
+    def test_threshold_includes_the_tolerance(self):
+        part = human.threshold()
+        seen = _observation(0.5)
+        assert bool(part.judge(part.init(), HumanParams(tolerance=0.5), seen, FALSE, KEY)[1])
+
+    @pytest.mark.parametrize(
+        ("angle", "velocity", "expected"),
+        [
+            (0.3, 1.0, True),  # 0.3 + 0.2 · 1 = 0.5 ≥ 0.45
+            (0.5, -1.0, False),  # 0.5 − 0.2 = 0.3: on its way back
+            (-0.3, -1.0, True),
+            (0.4, 0.0, False),
+            (0.0, 3.0, True),
+        ],
+    )
+    def test_predictive_looks_ahead(self, angle, velocity, expected):
+        part = human.predictive()
+        params = HumanParams(tolerance=0.45, horizon=0.2)
+        _, dangerous = part.judge(part.init(), params, _observation(angle, velocity), FALSE, KEY)
+        assert bool(dangerous) is expected
+
+    @quick
+    @hypothesis.given(st.floats(-2, 2, width=32), st.floats(-5, 5, width=32))
+    def test_no_horizon_is_the_threshold(self, angle, velocity):
+        seen = _observation(angle, velocity)
+        params = HumanParams(horizon=0.0)
+        answers = [
+            bool(part.judge(part.init(), params, seen, FALSE, KEY)[1])
+            for part in (human.threshold(), human.predictive())
+        ]
+        assert answers[0] == answers[1]
+
+
+class TestDelay:
+    @pytest.mark.parametrize(
+        ("delay", "expected"),
+        [(0, "1011000"), (1, "0101100"), (2, "0010110"), (4, "0000101"), (9, "0000000")],
+    )
+    def test_by_hand(self, delay, expected):
+        judged, _ = _judge(human.delayed(9), HumanParams(delay=delay), _bools("1011000"))
+        np.testing.assert_array_equal(judged, _bools(expected))
+
+    def test_an_episode_forgets(self):
+        part, params = human.delayed(4), HumanParams(delay=2)
+        _, state = _judge(part, params, _bools("111"))
+        judged, _ = _judge(part, params, _bools("100"), part.begin_episode(state))
+        np.testing.assert_array_equal(judged, _bools("001"))
+
+    @quick
+    @hypothesis.given(st.lists(st.booleans(), min_size=12, max_size=12), st.integers(0, 6))
+    def test_is_a_shift(self, dangerous, delay):
+        judged, _ = _judge(human.delayed(6), HumanParams(delay=delay), np.array(dangerous))
+        np.testing.assert_array_equal(judged, ([False] * delay + dangerous)[:12])
+
+    def test_a_longer_delay_is_cut_down(self):
+        judged, _ = _judge(human.delayed(2), HumanParams(delay=5), _bools("10000"))
+        np.testing.assert_array_equal(judged, _bools("00100"))
+
+    def test_a_negative_memory_is_refused(self):
+        with pytest.raises(ValueError, match="max_delay -1"):
+            human.delayed(-1)
+
+
+class TestMistakesAndLapses:
+    N = 20_000
+
+    @pytest.mark.parametrize("rate", [0.05, 0.5, 0.9])
+    @pytest.mark.parametrize("dangerous", [False, True])
+    def test_rate_of_mistakes(self, rate, dangerous):
+        judged, _ = _judge(
+            human.mistaken(), HumanParams(mistake_rate=rate), np.full(self.N, dangerous)
+        )
+        flipped = judged != dangerous
+        sigma = math.sqrt(rate * (1 - rate) / self.N)
+        assert abs(flipped.mean() - rate) < 4 * sigma
+        # One step says nothing about the next.
+        assert abs(np.corrcoef(flipped[1:], flipped[:-1])[0, 1]) < 4 / math.sqrt(self.N)
+
+    @pytest.mark.parametrize("rate", [0.05, 0.5])
+    def test_rate_of_lapses(self, rate):
+        params = HumanParams(lapse_rate=rate)
+        judged, _ = _judge(human.lapsing(), params, np.ones(self.N, bool))
+        assert abs((1 - judged.mean()) - rate) < 4 * math.sqrt(rate * (1 - rate) / self.N)
+        judged, _ = _judge(human.lapsing(), params, np.zeros(self.N, bool))
+        assert not judged.any()
+
+    def test_the_ends_are_exact(self):
+        dangerous = _bools("0110" * 50)
+        for rate, expected in ((0.0, dangerous), (1.0, ~dangerous)):
+            judged, _ = _judge(human.mistaken(), HumanParams(mistake_rate=rate), dangerous)
+            np.testing.assert_array_equal(judged, expected)
+        for rate, expected in ((0.0, dangerous), (1.0, np.zeros(200, bool))):
+            judged, _ = _judge(human.lapsing(), HumanParams(lapse_rate=rate), dangerous)
+            np.testing.assert_array_equal(judged, expected)
+
+    def test_mistakes_and_lapses_do_not_share_their_draws(self):
+        """P(dangerous | safe) = ε (1 − m) only if they are independent."""
+        rate, lapse = 0.3, 0.4
+        params = HumanParams(mistake_rate=rate, lapse_rate=lapse)
+        part = human.chain(human.mistaken(), human.lapsing())
+        judged, _ = _judge(part, params, np.zeros(self.N, bool))
+        expected = rate * (1 - lapse)
+        assert abs(judged.mean() - expected) < 4 * math.sqrt(expected * (1 - expected) / self.N)
+
+
+class TestAttention:
+    @pytest.mark.parametrize(
+        ("budget", "rest", "expected"),
+        [
+            (human.UNLIMITED, 0, "0111101101"),
+            (2, 0, "0110000000"),
+            (human.UNLIMITED, 2, "0100100100"),
+            (2, 2, "0100100000"),
+            (0, 0, "0000000000"),
+        ],
+    )
+    def test_by_hand(self, budget, rest, expected):
+        params = HumanParams(max_interventions=budget, refractory_steps=rest)
+        judged, _ = _judge(human.attentive(), params, _bools("0111101101"))
+        np.testing.assert_array_equal(judged, _bools(expected))
+
+    def test_agreement_alone_costs_nothing(self):
+        params = HumanParams(max_interventions=1, refractory_steps=5)
+        dangerous = np.ones(20, bool)
+        judged, state = _judge(human.attentive(), params, dangerous, eager=False)
+        assert judged.all()
+        assert int(state.used) == 0
+
+    def test_budget_and_rest_outlast_the_episode(self):
+        part = human.attentive()
+        params = HumanParams(max_interventions=2, refractory_steps=3)
+        _, state = _judge(part, params, _bools("001"))
+        judged, state = _judge(part, params, _bools("11111111"), part.begin_episode(state))
+        np.testing.assert_array_equal(judged, _bools("00010000"))
+        judged, _ = _judge(part, params, _bools("11111111"), part.begin_episode(state))
+        assert not judged.any()
+
+    def _take_over(self, params, dangerous, state=None):
+        """A takeover lasts while the human sees danger; `notify` is told of it."""
+        part = human.attentive()
+        state = part.init() if state is None else state
+        judged, control = [], False
+        for before in dangerous:
+            state, after = part.judge(state, params, STILL, jnp.array(before), KEY)
+            began, control = bool(after) and not control, bool(after)
+            state = part.notify(state, params, jnp.array(began), jnp.array(control))
+            judged.append(control)
+        return judged, state
+
+    def test_an_intervention_under_way_is_seen_through(self):
+        # Begun at steps 1 and 8; rest for 2 steps after the last step of each; then spent.
+        params = HumanParams(max_interventions=2, refractory_steps=2)
+        judged, state = self._take_over(params, _bools("0111011011100011"))
+        np.testing.assert_array_equal(judged, _bools("0111001011100000"[:6] + "0011100000"))
+        assert int(state.used) == 2
+
+    def test_an_episode_ends_the_intervention(self):
+        part = human.attentive()
+        params = HumanParams(max_interventions=1)
+        judged, state = self._take_over(params, _bools("11"))
+        assert judged == [True, True]
+        judged, _ = self._take_over(params, _bools("11"), part.begin_episode(state))
+        assert judged == [False, False]
+
+    @quick
+    @hypothesis.given(
+        st.lists(st.booleans(), min_size=30, max_size=30), st.integers(0, 5), st.integers(0, 6)
+    )
+    def test_never_more_nor_sooner(self, dangerous, budget, rest):
+        params = HumanParams(max_interventions=budget, refractory_steps=rest)
+        judged, _ = _judge(human.attentive(), params, np.array(dangerous))
+        steps = np.flatnonzero(judged)
+        assert len(steps) <= budget
+        assert (np.diff(steps) > rest).all()
+        assert not (judged & ~np.array(dangerous)).any()
+        if budget and any(dangerous):
+            assert steps[0] == dangerous.index(True)
+
+
+class TestRecorded:
+    def test_plays_on_over_episodes_and_ends_safe(self):
+        part = human.recorded(_bools("10110"))
+        _, state = first = _judge(part, HumanParams(), np.zeros(3, bool))[::-1][::-1]
+        np.testing.assert_array_equal(first[0], _bools("101"))
+        judged, state = _judge(part, HumanParams(), np.ones(6, bool), part.begin_episode(state))
+        np.testing.assert_array_equal(judged, _bools("100000"))
+        assert int(state) == 5
+
+    def test_an_empty_log_is_safe(self):
+        judged, _ = _judge(human.recorded(np.zeros(0, bool)), HumanParams(), np.ones(3, bool))
+        assert not judged.any()
+
+    def test_a_log_for_each_run(self):
+        logs = jnp.array([_bools("1100"), _bools("0011")])
+        judged = jax.vmap(lambda log: _run(human.recorded(log), HumanParams(), KEY, 4))(logs)
+        np.testing.assert_array_equal(judged, logs)
+
+    @pytest.mark.parametrize("log", [np.zeros(3), np.zeros((2, 3), bool), np.array(True)])
+    def test_other_logs_are_refused(self, log):
+        with pytest.raises(ValueError, match=r"must be bool\[T\]"):
+            human.recorded(log)
+
+
+def _run(part, params, key, num_steps, angles=None):
+    """A part's judgements [T] of a hull at `angles` [T], without interventions."""
+    angles = jnp.zeros(num_steps) if angles is None else angles
+
+    def step(state, inputs):
+        key, angle = inputs
+        state, dangerous = part.judge(state, params, _observation(angle), FALSE, key)
+        return part.notify(state, params, FALSE), dangerous
+
+    return jax.lax.scan(step, part.init(), (jax.random.split(key, num_steps), angles))[1]
+
+
+class TestComposition:
+    def test_the_order(self):
+        """Danger, delay, mistakes, lapses, attention: each order but this gives another answer."""
+        log = human.recorded(_bools("100000"))
+        tail = (human.mistaken(), human.lapsing(), human.attentive())
+        part = human.chain(log, human.delayed(4), *tail)
+        # Delay before mistakes: the delayed "100" is 0010, flipped 1101. The other way round, the
+        # first steps of an episode would be safe: 0001.
+        params = HumanParams(delay=2, mistake_rate=1.0)
+        np.testing.assert_array_equal(_run(part, params, KEY, 4), _bools("1101"))
+        # Lapses after mistakes: never danger. The other way round: always.
+        params = HumanParams(delay=2, mistake_rate=1.0, lapse_rate=1.0)
+        assert not _run(part, params, KEY, 4).any()
+        # Attention after mistakes: patience spent stays spent.
+        params = HumanParams(mistake_rate=1.0, max_interventions=0)
+        assert not _run(part, params, KEY, 4).any()
+
+    @pytest.mark.parametrize(
+        ("params", "expected"),
+        [
+            (HumanParams(), "01100110"),
+            (HumanParams(delay=2), "00011001"),
+            (HumanParams(mistake_rate=1.0), "10011001"),
+            (HumanParams(delay=2, mistake_rate=1.0), "11100110"),
+            (HumanParams(lapse_rate=1.0), "00000000"),
+            (HumanParams(mistake_rate=1.0, lapse_rate=1.0), "00000000"),
+            (HumanParams(mistake_rate=1.0, max_interventions=0), "00000000"),
+            (HumanParams(tolerance=0.65), "00100010"),
+        ],
+    )
+    def test_the_simulated_human_by_hand(self, params, expected):
+        angles = jnp.array([0.0, 0.6, -0.7, 0.1, 0.0, 0.6, -0.7, 0.1])
+        part = human.simulated_human("threshold", max_delay=4)
+        np.testing.assert_array_equal(_run(part, params, KEY, 8, angles), _bools(expected))
+
+    def test_is_the_chain_of_its_parts(self):
+        assert len(human.simulated_human().init()) == 5
+        params = HumanParams(mistake_rate=0.3, lapse_rate=0.3, delay=3)
+        parts = (human.predictive(), human.delayed(8), human.mistaken(), human.lapsing())
+        angles = jax.random.normal(KEY, (200,))
+        ours = _run(human.simulated_human("predictive", 8), params, KEY, 200, angles)
+        np.testing.assert_array_equal(
+            ours, _run(human.chain(*parts, human.attentive()), params, KEY, 200, angles)
+        )
+
+    def test_a_chain_in_a_chain_and_a_part_alone(self):
+        angles = jnp.array([0.0, 0.6, -0.7, 0.1])
+        alone = _run(human.threshold(), HumanParams(), KEY, 4, angles)
+        inner = human.chain(human.threshold(), human.delayed(2))
+        nested = _run(human.chain(inner, human.attentive()), HumanParams(delay=1), KEY, 4, angles)
+        np.testing.assert_array_equal(alone, _bools("0110"))
+        np.testing.assert_array_equal(nested, _bools("0011"))
+
+    def test_the_chain_passes_on_what_happened(self):
+        part = human.chain(human.threshold(), human.attentive())
+        params = HumanParams(max_interventions=1)
+        state, dangerous = part.judge(part.init(), params, _observation(1.0), FALSE, KEY)
+        assert bool(dangerous)
+        state = part.notify(state, params, jnp.array(True), jnp.array(True))
+        # Still in control: seen through. Then spent, in the next episode too.
+        assert bool(part.judge(state, params, _observation(1.0), FALSE, KEY)[1])
+        state = part.begin_episode(state)
+        assert not bool(part.judge(state, params, _observation(1.0), FALSE, KEY)[1])
+
+    def test_an_unknown_danger_is_refused(self):
+        with pytest.raises(ValueError, match="danger outcome: must be one of threshold, predict"):
+            human.simulated_human("outcome")
+
+
+class HumanVariants(chex.TestCase):
+    @chex.all_variants(without_device=False)
+    def test_alike_however_it_is_compiled(self):
+        """Many humans in one program judge as each does alone, and no parameter compiles again."""
+        num_steps = 12
+        part = human.simulated_human("predictive", max_delay=8)
+        humans = [
+            HumanParams(),
+            HumanParams(tolerance=0.2, delay=3),
+            HumanParams(tolerance=0.9, horizon=1.0, delay=8),
+            HumanParams(tolerance=0.1, mistake_rate=0.2, lapse_rate=0.3),
+            HumanParams(tolerance=0.1, max_interventions=2, refractory_steps=4),
+        ]
+        stacked = jax.tree.map(lambda *leaves: jnp.array(leaves), *humans)
+        keys = jax.random.split(KEY, len(humans))
+        angles = jax.random.normal(jax.random.key(1), (len(humans), num_steps))
+
+        def step(state, params, angle, key):
+            state, dangerous = part.judge(state, params, _observation(angle, 0.5), FALSE, key)
+            return part.notify(state, params, dangerous), dangerous
+
+        step = chex.assert_max_traces(step, 1) if self.variant.type.name == "WITH_JIT" else step
+        batched = self.variant(jax.vmap(step))
+        states = jax.vmap(lambda _: part.init())(jnp.arange(len(humans)))
+        together = []
+        for t in range(num_steps):
+            step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, t)
+            states, dangerous = batched(states, stacked, angles[:, t], step_keys)
+            together.append(dangerous)
+        together = np.array(together)
+
+        for index, params in enumerate(humans):
+            expected = _alone(part, params, angles[index], keys[index])
+            np.testing.assert_array_equal(together[:, index], expected)
+        assert 0 < together.mean() < 1
+
+
+def _alone(part, params, angles, key):
+    """One human with parameters of Python numbers, in a scan."""
+
+    def step(state, inputs):
+        t, angle = inputs
+        seen = _observation(angle, 0.5)
+        state, dangerous = part.judge(state, params, seen, FALSE, jax.random.fold_in(key, t))
+        return part.notify(state, params, dangerous), dangerous
+
+    return jax.lax.scan(step, part.init(), (jnp.arange(len(angles)), angles))[1]
+
+
+class TestParams:
+    def test_the_defaults_are_a_perfect_human(self):
+        params = HumanParams()
+        human.validate_human_params(params)
+        angles = jax.random.normal(KEY, (200,))
+        judged = _run(human.simulated_human(), params, KEY, 200, angles)
+        np.testing.assert_array_equal(judged, np.abs(angles) >= 0.45)
+
+    @pytest.mark.parametrize(
+        ("name", "value"),
+        [
+            ("tolerance", 0.0),
+            ("tolerance", math.nan),
+            ("tolerance", math.inf),
+            ("tolerance", "wide"),
+            ("horizon", -0.1),
+            ("delay", -1),
+            ("delay", 33),
+            ("delay", 1.5),
+            ("delay", True),
+            ("mistake_rate", -0.1),
+            ("mistake_rate", 1.1),
+            ("lapse_rate", math.nan),
+            ("lapse_rate", 2),
+            ("max_interventions", -1),
+            ("max_interventions", 2**31),
+            ("refractory_steps", -3),
+        ],
+    )
+    def test_bad_values_are_refused_in_one_line(self, name, value):
+        params = dataclasses.replace(HumanParams(), **{name: value})
+        option = name.replace("_", "-")
+        with pytest.raises(ValueError, match=f"^--human.{option} .*: must be ") as caught:
+            human.validate_human_params(params)
+        assert "\n" not in str(caught.value)
+
+    def test_the_longest_delay_is_the_humans(self):
+        human.validate_human_params(HumanParams(delay=40), max_delay=40)
+        with pytest.raises(ValueError, match="from 0 to 20"):
+            human.validate_human_params(HumanParams(delay=40), max_delay=20)
+
+
+class TestOutcome:
+    def test_by_hand(self):
+        # The fifth step ends in a fall: of 3 steps from s_2, s_3 or s_4, one is the fifth.
+        fell = _bools("00001")
+        np.testing.assert_array_equal(human.outcome_dangerous(fell, 3), _bools("00111"))
+        np.testing.assert_array_equal(human.outcome_dangerous(fell, 1), fell)
+        np.testing.assert_array_equal(human.outcome_dangerous(fell, 0), _bools("00000"))
+        np.testing.assert_array_equal(human.outcome_dangerous(fell, 99), _bools("11111"))
+        assert not human.outcome_dangerous(np.zeros(5, bool), 3).any()
+
+    @quick
+    @hypothesis.given(st.lists(st.booleans(), min_size=9, max_size=9), st.integers(0, 12))
+    def test_is_any_fall_in_the_window(self, fell, k):
+        expected = [any(fell[t : t + k]) for t in range(9)]
+        np.testing.assert_array_equal(human.outcome_dangerous(np.array(fell), k), expected)
+        np.testing.assert_array_equal(
+            jax.jit(human.outcome_dangerous)(jnp.array(fell), k), expected
+        )

@@ -1,0 +1,124 @@
+import jax
+import numpy as np
+import pytest
+from toy import ToyPool
+
+from hitl_jax.agent import make_agent
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.rollout import LoopConfig, Rollout, RunSpec, episode_seed
+
+_CONFIG = AgentConfig(hidden_sizes=(16, 16), batch_size=16, n_step=2)
+_HYPER = Hyper(warmup_steps=64, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
+_LOOP = LoopConfig(episodes=12, capacity=512, chunk=8)
+
+
+def _spec(method, seed, **changes):
+    return RunSpec(method, seed, hyper_for(method, _HYPER.replace(**changes)))
+
+
+def _play(specs, slots, tile=2, config=_CONFIG, loop=_LOOP):
+    """Finished runs by (method, seed)."""
+    rollout = Rollout(make_agent(config), specs, ToyPool(slots), loop, tile)
+    finished = [run for done in rollout for run in done]
+    assert len(finished) == len(specs)
+    return {(done.run.spec.method, done.run.spec.seed): done for done in finished}
+
+
+def _assert_same(one, other, rtol=2e-4):
+    assert one.run.env_steps == other.run.env_steps
+    assert one.run.updates == other.run.updates > 0
+    for row, match in zip(one.run.episodes, other.run.episodes, strict=True):
+        assert row.keys() == match.keys()
+        for name, value in row.items():
+            if isinstance(value, str):
+                assert value == match[name]
+            else:
+                np.testing.assert_allclose(value, match[name], rtol=rtol, err_msg=name)
+    leaves, others = jax.tree.leaves(one.train), jax.tree.leaves(other.train)
+    for leaf, match in zip(leaves, others, strict=True):
+        np.testing.assert_allclose(leaf, match, rtol=rtol, atol=1e-5)
+    np.testing.assert_allclose(one.boundary, other.boundary, rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def together():
+    specs = [_spec(method, seed) for seed in range(2) for method in Method]
+    return _play(specs, slots=6)
+
+
+def test_a_run_equals_the_same_run_alone(together):
+    for method in Method:
+        alone = _play([_spec(method, 1)], slots=2, tile=1)
+        _assert_same(alone[method, 1], together[method, 1])
+
+
+def test_order_queue_and_neighbours_do_not_matter(together):
+    # Fewer slots than runs, another order, and neighbours of other hyperparameters.
+    specs = [_spec(method, seed) for method in reversed(Method) for seed in (1, 0)]
+    specs.insert(1, _spec(Method.SRL, 7, exploration_noise=0.5))
+    queued = _play(specs, slots=4, tile=1)
+    for key, run in together.items():
+        _assert_same(queued[key], run)
+
+
+def test_methods_and_seeds_differ(together):
+    returns = {key: [row["return"] for row in run.run.episodes] for key, run in together.items()}
+    assert len({tuple(values) for values in returns.values()}) == len(returns)
+
+
+def test_nothing_is_compiled_again():
+    specs = [_spec(method, seed) for seed in range(3) for method in Method]
+    rollout = Rollout(make_agent(_CONFIG), specs, ToyPool(4), _LOOP, 1)
+    chunks = iter(rollout)
+    counts, finished = [], 0
+    for done in chunks:
+        finished += len(done)
+        counts.append(rollout.compiled())
+    assert finished == len(specs)
+    # The first run to finish brings the last program (taking its rows out); nothing after it.
+    first = next(i for i, count in enumerate(counts) if count == counts[-1])
+    assert first < len(counts) / 2
+
+
+def test_a_finished_run_takes_no_more_steps():
+    pool = ToyPool(2)
+    specs = [_spec(Method.SRL, 0), _spec(Method.HITL_AC, 0)]
+    finished = [r for done in Rollout(make_agent(_CONFIG), specs, pool, _LOOP) for r in done]
+    assert pool.steps == sum(done.run.env_steps for done in finished)
+
+
+@pytest.mark.parametrize("terminates", [True, False])
+def test_a_human_reset_ends_the_episode_and_pays_the_feedback(terminates):
+    config = AgentConfig(
+        hidden_sizes=(16,), batch_size=16, human_reset_terminates=terminates
+    )
+    done = _play([_spec(Method.HITL_FIX, 0)], slots=2, config=config)[Method.HITL_FIX, 0]
+    reset = [row for row in done.run.episodes if row["end"] == "human-reset"]
+    assert reset
+    for row in reset:
+        assert row["interventions"] == row["human_steps"] == 1
+        np.testing.assert_allclose(row["shaped_return"], row["return"] - 20.0, rtol=1e-5)
+
+
+def test_reset_seeds_come_from_method_seed_and_episode():
+    assert episode_seed(Method.SRL, 3, 0) == episode_seed("srl", 3, 0)
+    words = [(m, s, e) for m in Method for s in range(10) for e in range(100)]
+    assert len({episode_seed(*word) for word in words}) == len(words)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"episodes": 0}, "--episodes 0: must be at least 1"),
+        ({"updates_per_step": -1.0}, "--updates-per-step -1.0: must be at least 0"),
+        ({"capacity": 3}, "--capacity 3: must be at least 32"),
+    ],
+)
+def test_bad_loop(change, message):
+    with pytest.raises(ValueError, match=message):
+        LoopConfig(**change)
+
+
+def test_updates_of_a_chunk_must_be_whole():
+    with pytest.raises(ValueError, match="--updates-per-step 0.3"):
+        LoopConfig(updates_per_step=0.3).num_updates(2)
