@@ -4,6 +4,7 @@ Every ratio is of two figures of one run, since machines differ and are noisy.
 """
 
 import dataclasses
+import itertools
 import json
 import os
 import pathlib
@@ -74,13 +75,13 @@ def update_flops(config: AgentConfig) -> float:
     """Matrix-product FLOPs that one update of one run cannot do without, from the shapes.
 
     Counted: target actor and target critics forward; critics forward and backward without the
-    gradient of their input; at every `policy_delay`-th update the actor forward and backward without
-    the gradient of its input, and one critic forward and back to the action alone.
+    gradient of their input; at every `policy_delay`-th update the actor forward and backward
+    without the gradient of its input, and one critic forward and back to the action alone.
     """
 
     def layers(inputs: int, outputs: int) -> list[int]:
         sizes = [inputs, *config.hidden_sizes, outputs]
-        return [a * b for a, b in zip(sizes, sizes[1:], strict=False)]
+        return [a * b for a, b in itertools.pairwise(sizes)]
 
     observations, actions = config.observation_size, config.action_size
     actor = layers(observations, actions)
@@ -134,7 +135,7 @@ def _learner_row(
     slots = np.tile(np.arange(share, dtype=np.int32), mesh.size)
     nobody, everybody = (np.full(mesh.size, n, np.int32) for n in (0, share))
     for _ in range(capacity // chunk):
-        seats, behavior = programs.learn(seats, frames, slots, nobody)
+        seats, _ = programs.learn(seats, frames, slots, nobody)
     compiled = programs.learn._cache_size()  # type: ignore[attr-defined]
 
     def learn() -> Any:
@@ -213,12 +214,14 @@ def _pool_steps(backend: str, walkers: int, seconds: float) -> float:
 
 
 def measure_loop(options: BenchmarkOptions) -> list[Row]:
-    """The whole loop at the default configuration: rates, compiled programs and memory over time."""
-    config = LoopConfig(episodes=10**6, capacity=20_000)
+    """The whole loop at its defaults: rates, compiled programs and memory over time."""
+    config = LoopConfig(capacity=20_000)
     agent = make_agent(AgentConfig())
     hyper = Hyper(warmup_steps=500)
     specs = [
-        RunSpec(method, seed, hyper_for(method, hyper)) for seed in range(10) for method in Method
+        RunSpec(method, seed, hyper_for(method, hyper), 10**6)
+        for seed in range(10)
+        for method in Method
     ]
     rows: list[Row] = []
     slots = len(specs) // jax.device_count() * jax.device_count()

@@ -6,7 +6,7 @@ import io
 import itertools
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
 import tyro
 
@@ -41,13 +41,14 @@ class SweepOptions:
     """Train SRL, HITL-FIX and HITL-AC over a batch of seeds, test each walker, draw Figures 4-6.
 
     Attributes:
-        preset: `full` is the paper's comparison (10 seeds, 1000 episodes, 100 test episodes); `quick`
-            is for looking around (2 seeds, 100 episodes, 20 test episodes, a few minutes).
+        preset: `full` is the paper's comparison (10 seeds, 1000 episodes, 100 test episodes);
+            `quick` is for looking around (2 seeds, 100 episodes, 20 test episodes, a few minutes).
         methods: which of srl, hitl-fix, hitl-ac to run.
         seeds: number of seeds for each method (default: the preset's).
         first_seed: the first of them; the others follow.
         episodes: training episodes of a run (default: the preset's).
-        test_episodes: test episodes of a run, alone and again with the human (default: the preset's).
+        test_episodes: test episodes of a run, alone and again with the human (default: the
+            preset's).
         backend: `gymnasium`, the official walker, or `envpool`, faster, whose terrain cannot be
             seeded (needs the extra `fast`).
         workers: processes that step walkers (default: one a core).
@@ -75,8 +76,14 @@ class SweepOptions:
     loop: Annotated[LoopConfig, tyro.conf.arg(name="")] = LoopConfig()
     hyper: Annotated[Hyper, tyro.conf.arg(name="")] = Hyper()
 
-    def resolved(self) -> "SweepOptions":
-        """Fills in the preset and checks everything that can be checked before work starts.
+    def scale(self) -> Preset:
+        """The preset, with what the options say in place of it."""
+        names = [field.name for field in dataclasses.fields(Preset)]
+        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return dataclasses.replace(PRESETS[self.preset], **given)
+
+    def checked(self) -> "SweepOptions":
+        """Checks everything that can be checked before work starts; returns itself.
 
         Raises:
             ValueError: one line with the option, the value and what is allowed.
@@ -91,20 +98,16 @@ class SweepOptions:
             raise ValueError(f"--methods {given}: must be some of {', '.join(known)}")
         if len(set(self.methods)) < len(self.methods):
             raise ValueError(f"--methods {' '.join(self.methods)}: each at most once")
-        preset = PRESETS[self.preset]
-        filled: dict[str, Any] = {}
-        for field in dataclasses.fields(preset):
-            value = getattr(self, field.name)
-            filled[field.name] = getattr(preset, field.name) if value is None else value
-            require(field.name, filled[field.name], at_least=1)
+        scale = self.scale()
+        for field in dataclasses.fields(scale):
+            require(field.name, getattr(scale, field.name), at_least=1)
         require("first_seed", self.first_seed, at_least=0)
         require("slots", self.slots, at_least=1)
         if self.workers is not None:
             require("workers", self.workers, at_least=1)
         validate_hyper(self.hyper)
-        loop = dataclasses.replace(self.loop, episodes=filled["episodes"])
-        loop.num_updates(self.agent.policy_delay)
-        return dataclasses.replace(self, loop=loop, **filled)
+        self.loop.num_updates(self.agent.policy_delay)
+        return self
 
 
 def run_main(options: type[T], main: Callable[[T], int], args: Sequence[str] | None = None) -> int:

@@ -1,7 +1,8 @@
 """The main job: `python -m experiments.seed_sweep`.
 
-Trains SRL, HITL-FIX and HITL-AC over a batch of seeds on Box2D's BipedalWalker-v3, tests each trained
-walker, and writes tables and Figures 4 to 6. Started again in the same folder it skips what is done.
+Trains SRL, HITL-FIX and HITL-AC over a batch of seeds on Box2D's BipedalWalker-v3, tests each
+trained walker, and writes tables and Figures 4 to 6. Started again in the same folder it skips what
+is done.
 """
 
 import dataclasses
@@ -47,7 +48,8 @@ def main(options: SweepOptions) -> int:
         The exit code: 0, or 130 after Ctrl-C.
     """
     with checking_input():
-        options = options.resolved()
+        options = options.checked()
+        scale = options.scale()
         agent = _make_agent(options)
         folder = ResultsFolder(options.out)
         config = _config(options)
@@ -55,9 +57,9 @@ def main(options: SweepOptions) -> int:
             make_pool("envpool", 1).close()  # a missing extra is noticed before the folder is made
         command = shlex.join(["python", "-m", "experiments.seed_sweep", *sys.argv[1:]])
         folder.create_or_resume(config, command)
-    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    seeds = range(options.first_seed, options.first_seed + scale.seeds)
     wanted = [
-        RunSpec(method, seed, hyper_for(method, options.hyper))
+        RunSpec(method, seed, hyper_for(method, options.hyper), scale.episodes)
         for seed in seeds
         for method in map(Method, options.methods)
     ]
@@ -72,8 +74,8 @@ def main(options: SweepOptions) -> int:
         sweep.save_partial()
         _draw(folder)
         print(
-            f"\nStopped. Figures and tables of what there is: {options.out}. The same command goes on "
-            "with the runs that are not finished.",
+            f"\nStopped. Figures and tables of what there is: {options.out}. The same command goes "
+            "on with the runs that are not finished.",
             flush=True,
         )
         return 130
@@ -105,7 +107,7 @@ class _Sweep:
         self._draw_at = self._started + FIRST_FIGURES_SECONDS
         self._provenance = {"versions": versions(), "commit": git_commit()}
         self._progress = Progress(
-            options.methods, num_runs, options.loop.episodes, num_runs - len(specs)
+            options.methods, num_runs, options.scale().episodes, num_runs - len(specs)
         )
 
     def run(self) -> None:
@@ -115,7 +117,7 @@ class _Sweep:
         slots = math.ceil(min(len(self._specs), options.slots) / devices) * devices
         with (
             make_pool(options.backend, slots, options.workers) as pool,
-            make_pool(options.backend, options.test_episodes, options.workers) as test_pool,
+            make_pool(options.backend, options.scale().test_episodes, options.workers) as test_pool,
             self._progress as progress,
         ):
             progress.say(
@@ -148,7 +150,7 @@ class _Sweep:
             actor=finished.train.learner.actor, boundary_actor=finished.train.boundary.actor
         )
         # The same terrain for every method: a paired comparison needs fewer episodes.
-        numbers = range(self._options.test_episodes)
+        numbers = range(self._options.scale().test_episodes)
         seeds = np.array([episode_seed("test", spec.seed, number) for number in numbers], np.uint32)
         modes: tuple[Mode, ...] = ("autonomous", "assisted")
         if spec.method is Method.SRL:
@@ -169,7 +171,13 @@ class _Sweep:
         }
         key = RunKey(spec.method, spec.seed)
         arrays = checkpoint.flatten(finished.train, finished.boundary)
-        self._folder.save_run(key, _columns(run.episodes, EPISODE_COLUMNS), _columns(tests, TEST_COLUMNS), arrays, info)
+        self._folder.save_run(
+            key,
+            _columns(run.episodes, EPISODE_COLUMNS),
+            _columns(tests, TEST_COLUMNS),
+            arrays,
+            info,
+        )
         self._folder.remove_partial(key)
         self._progress.finish(run)
         alone = np.mean([row["return"] for row in tests if row["mode"] == "autonomous"])
@@ -207,11 +215,12 @@ def _config(options: SweepOptions) -> dict[str, Any]:
     """All that defines a run's numbers besides its method and seed."""
     return {
         "backend": options.backend,
-        "test_episodes": options.test_episodes,
+        "episodes": options.scale().episodes,
+        "test_episodes": options.scale().test_episodes,
         "human_policy": options.human_policy,
         "agent": dataclasses.asdict(options.agent),
         "loop": dataclasses.asdict(options.loop),
-        "hyper": dataclasses.asdict(options.hyper),  # type: ignore[call-overload]
+        "hyper": dataclasses.asdict(options.hyper),
     }
 
 

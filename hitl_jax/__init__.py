@@ -1,1 +1,50 @@
-"""Human-in-the-loop actor-critic with a learned switching boundary (HITL-AC), in JAX."""
+"""Human-in-the-loop actor-critic with a learned switching boundary (HITL-AC), in JAX.
+
+The pure functions that make up a run, written for one run and ready for `vmap`; a name is loaded
+when it is first used, so that importing the package is quick.
+"""
+
+import importlib
+from typing import Any
+
+_EXPORTS = {
+    "hitl_jax.agent": (
+        "ActingState",
+        "Agent",
+        "Decision",
+        "act",
+        "begin_episode",
+        "behavior",
+        "init",
+        "init_acting",
+        "learn",
+        "make_agent",
+        "update",
+        "update_boundary",
+    ),
+    "hitl_jax.config": ("AgentConfig", "Hyper", "Method", "RunHyper", "hyper_for"),
+    "hitl_jax.types": (
+        "Behavior",
+        "BoundaryState",
+        "BoundaryTransition",
+        "LearnerState",
+        "TrainState",
+        "Transition",
+    ),
+}
+_MODULE_OF = {name: module for module, names in _EXPORTS.items() for name in names}
+
+__version__ = "0.1.0"
+__all__ = list(_MODULE_OF)
+
+
+def __getattr__(name: str) -> Any:
+    """Loads a public name from its room."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(_MODULE_OF[name]), name)
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted(__all__)

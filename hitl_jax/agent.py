@@ -1,5 +1,6 @@
-"""One run of the human-machine team: init, act and update, to be vmapped over runs by the caller."""
+"""One run of the human-machine team: init, act and update, to be vmapped by the caller."""
 
+import dataclasses
 import functools
 from typing import NamedTuple
 
@@ -207,7 +208,8 @@ def init_acting(agent: Agent, hyper: RunHyper, key: chex.PRNGKey) -> ActingState
 
 def begin_episode(agent: Agent, state: ActingState) -> ActingState:
     """Forgets what belongs to an episode; boundary, step count and attention go on."""
-    return state.replace(  # type: ignore[attr-defined]
+    return dataclasses.replace(
+        state,
         noise=jnp.zeros_like(state.noise),
         human=agent.human.begin_episode(state.human),
         source=agent.source.begin_episode(state.source),
@@ -254,9 +256,7 @@ def act(
     learns = hyper.learns_boundary > 0
     after = jnp.where(learns, after, boundary_now)
     source = boundary.get_source(agent.config.boundary_source)
-    carry = jnp.where(
-        learns, source.advance(state.boundary, boundary_now, after), state.boundary
-    )
+    carry = jnp.where(learns, source.advance(state.boundary, boundary_now, after), state.boundary)
 
     objects = jnp.logical_and(dangerous, hyper.human_present > 0)
     arbiter_state, ruling = arbiter.rule(
@@ -282,7 +282,7 @@ def act(
         steps=state.steps + 1,
         noise=noise,
         boundary=carry,
-        human=agent.human.notify(human_state, hyper.human, ruling.began),
+        human=agent.human.notify(human_state, hyper.human, ruling.began, ruling.control),
         source=source_state,
         arbiter=arbiter_state,
     )
@@ -290,7 +290,11 @@ def act(
 
 
 def update(
-    agent: Agent, hyper: RunHyper, state: TrainState, batch: Transition, key: chex.PRNGKey,
+    agent: Agent,
+    hyper: RunHyper,
+    state: TrainState,
+    batch: Transition,
+    key: chex.PRNGKey,
     update_actor: bool = True,
 ) -> tuple[TrainState, losses.Metrics]:
     """One update of the task learner: critics, and with `update_actor` actor and targets.
@@ -309,7 +313,7 @@ def update(
     learner = state.learner
     next_action = agent.actor.apply(learner.target_actor, batch.next_observation)
     if agent.config.smooths_target:
-        noise = jax.random.normal(key, next_action.shape)
+        noise = jax.random.normal(key, batch.action.shape)
         next_action = losses.smoothed_action(
             next_action, noise, hyper.target_noise, hyper.target_noise_clip
         )
@@ -321,7 +325,7 @@ def update(
     critic, critic_optimizer = _descend(
         learner.critic, grads, learner.critic_optimizer, hyper.critic_learning_rate
     )
-    learner = learner.replace(critic=critic, critic_optimizer=critic_optimizer)
+    learner = dataclasses.replace(learner, critic=critic, critic_optimizer=critic_optimizer)
     if update_actor:
         grads, actor_metrics = jax.grad(losses.actor_loss, has_aux=True)(
             learner.actor, agent.actor.apply, agent.first_critic.apply, critic, batch.observation
@@ -330,14 +334,15 @@ def update(
             learner.actor, grads, learner.actor_optimizer, hyper.actor_learning_rate
         )
         step = hyper.target_step_size
-        learner = learner.replace(
+        learner = dataclasses.replace(
+            learner,
             actor=actor,
             actor_optimizer=actor_optimizer,
             target_actor=optax.incremental_update(actor, learner.target_actor, step),
             target_critic=optax.incremental_update(critic, learner.target_critic, step),
         )
         metrics = metrics | actor_metrics
-    return state.replace(learner=learner), metrics  # type: ignore[attr-defined]
+    return dataclasses.replace(state, learner=learner), metrics
 
 
 def update_boundary(
@@ -377,7 +382,7 @@ def update_boundary(
         actor_optimizer=actor_optimizer,
         critic_optimizer=critic_optimizer,
     )
-    return state.replace(boundary=after), metrics | actor_metrics  # type: ignore[attr-defined]
+    return dataclasses.replace(state, boundary=after), metrics | actor_metrics
 
 
 def learn(
@@ -413,9 +418,14 @@ def learn(
     def several(_: int, state: TrainState) -> TrainState:
         for index in range(config.policy_delay):
             key, sample_key, smoothing_key = jax.random.split(state.key, 3)
-            state = state.replace(key=key)  # type: ignore[attr-defined]
+            state = dataclasses.replace(state, key=key)
             batch = replay.sample(
-                memory, agent.layout, column, sample_key, config.batch_size, config.n_step,
+                memory,
+                agent.layout,
+                column,
+                sample_key,
+                config.batch_size,
+                config.n_step,
                 hyper.gamma,
             )
             last = index == config.policy_delay - 1
@@ -427,7 +437,7 @@ def learn(
     pool = replay.sample_boundary(
         memory, agent.layout, column, boundary_key, config.boundary_batch_size, hyper.gamma
     )
-    state, _metrics = update_boundary(agent, hyper, state.replace(key=key), pool)
+    state, _metrics = update_boundary(agent, hyper, dataclasses.replace(state, key=key), pool)
     return state
 
 

@@ -95,8 +95,8 @@ def shaped_reward(
     """r(s, a, u) = r(s, a) + u · r(s, a^h), equation (7).
 
     The feedback "can be given at each time step, or after each episode" (section III): by `step` it
-    comes with every u_t = 1, by `episode` once, with the last reward of an episode in which the human
-    intervened. Plain arithmetic, so that host (NumPy) and device arrays both serve.
+    comes with every u_t = 1, by `episode` once, with the last reward of an episode in which the
+    human intervened. Plain arithmetic, so that host (NumPy) and device arrays both serve.
 
     Args:
         reward: r(s, a), [...].
@@ -104,7 +104,8 @@ def shaped_reward(
         feedback: r(s, a^h), negative for a punishment, [...].
         schedule: `step` or `episode`.
         ended: whether this step ended the episode, bool [...].
-        intervened: whether u was 1 at any step of the episode so far, this one included, bool [...].
+        intervened: whether u was 1 at any step of the episode so far, this one included, bool
+            [...].
 
     Returns:
         The reward that is learned from, [...].

@@ -1,11 +1,12 @@
-"""The one place where runs are vmapped: programs over R runs that share nothing but the ring's cursor.
+"""The one place where runs are vmapped: R runs that share nothing but the ring's cursor.
 
 Learning. The run axis is sharded over the devices of a mesh: two CPU devices keep two cores busy
 better than one device with two threads, since a small matrix product does not split well. On each
-device a loop takes the runs that are to learn in tiles of a few (`vmap` within a tile), and makes all
-updates of a call on one tile before the next, so that a tile's parameters stay in cache. Which runs
-learn, and how many, are arguments: a run that has finished or is still warming up costs nothing, and
-nothing is compiled again. A tile that is not full is filled up with copies of its first run.
+device a loop takes the runs that are to learn in tiles of a few (`vmap` within a tile), and makes
+all updates of a call on one tile before the next, so that a tile's parameters stay in cache. Which
+runs learn, and how many, are arguments: a run that has finished or is still warming up costs
+nothing, and nothing is compiled again. A tile that is not full is filled up with copies of its
+first run.
 
 Acting. One small program for all runs on one device, called once a tick by the host loop.
 """
@@ -192,8 +193,8 @@ def act_or_begin(
         live: whether a step is taken at this tick, bool [].
 
     Returns:
-        The next acting state, and the packed frame with the decision behind it, [W + 6]: without the
-        reward and the endings, which the plant has yet to tell.
+        The next acting state, and the packed frame with the decision behind it, [W + 6]: without
+        the reward and the endings, which the plant has yet to tell.
     """
     stepped, decision = agents.act(agent, hyper, params, state, observation)
     begun = agents.begin_episode(agent, state)
@@ -227,15 +228,21 @@ def _learn_local(
     num_runs = slots.shape[0]
     tile = min(tile, num_runs)
     slots = jnp.concatenate([slots, jnp.zeros((tile,), slots.dtype)])
-    one = functools.partial(agents.learn, agent, num_updates=num_updates)
+
+    def one(
+        hyper: RunHyper, state: TrainState, memory: replay.Replay, column: chex.Array
+    ) -> TrainState:
+        return agents.learn(agent, hyper, state, memory, column, num_updates)
+
     several = jax.vmap(one, in_axes=(0, 0, None, 0))
 
     def learn_tile(index: chex.Array, train: TrainState) -> TrainState:
         chosen = jax.lax.dynamic_slice_in_dim(slots, index * tile, tile)
         filled = index * tile + jnp.arange(tile) < count[0]
         chosen = jnp.where(filled, chosen, chosen[0])
-        rows = jax.tree.map(functools.partial(_take, chosen), (seats.hyper, train))
-        return jax.tree.map(functools.partial(_give, chosen), train, several(*rows, memory, chosen))
+        hyper, rows = jax.tree.map(functools.partial(_take, chosen), (seats.hyper, train))
+        after = several(hyper, rows, memory, chosen)
+        return jax.tree.map(functools.partial(_give, chosen), train, after)
 
     tiles = (count[0] + tile - 1) // tile
     train = jax.lax.fori_loop(0, tiles, learn_tile, seats.train)
@@ -276,7 +283,7 @@ def _put(tree: chex.ArrayTree, slot: chex.Array, row: chex.ArrayTree) -> chex.Ar
 
 
 def _seat_specs() -> Seats:
-    memory = replay.Replay(frames=P(AXIS), cursor=P(), start=P(AXIS))  # type: ignore[arg-type]
+    memory = replay.Replay(frames=P(AXIS), cursor=P(), start=P(AXIS))
     return Seats(train=P(AXIS), hyper=P(AXIS), memory=memory)  # type: ignore[arg-type]
 
 

@@ -182,12 +182,24 @@ def validate_hyper(hyper: Hyper) -> None:
     Raises:
         ValueError: one line with the option, the value and what is allowed.
     """
-    for name in ("actor_learning_rate", "critic_learning_rate", "boundary_actor_learning_rate",
-                 "boundary_critic_learning_rate"):
+    for name in (
+        "actor_learning_rate",
+        "critic_learning_rate",
+        "boundary_actor_learning_rate",
+        "boundary_critic_learning_rate",
+    ):
         require(name, getattr(hyper, name), at_least=0.0)
-    for name in ("target_noise", "target_noise_clip", "exploration_noise", "warmup_steps",
-                 "delta_minus", "delta_plus", "boundary_noise", "alarm_reward",
-                 "human_action_noise"):
+    for name in (
+        "target_noise",
+        "target_noise_clip",
+        "exploration_noise",
+        "warmup_steps",
+        "delta_minus",
+        "delta_plus",
+        "boundary_noise",
+        "alarm_reward",
+        "human_action_noise",
+    ):
         require(name, getattr(hyper, name), at_least=0)
     for name in ("gamma", "target_step_size"):
         require(name, getattr(hyper, name), at_least=0.0, at_most=1.0)

@@ -1,4 +1,4 @@
-"""The test phase: a trained walker over many episodes, noise off, alone and with the human (Fig. 5)."""
+"""The test phase (Fig. 5): a trained walker over many episodes, noise off, alone and helped."""
 
 import dataclasses
 import functools
@@ -21,9 +21,10 @@ Mode = Literal["autonomous", "assisted"]
 class Evaluator:
     """Plays test episodes of one run at a time, a walker for each episode.
 
-    Everything is frozen: no noise, no learning, the boundary as training left it. `autonomous`: nobody
-    intervenes; alarms and judgements are recorded all the same. `assisted`: arbiter and human are on,
-    and an intervention is a takeover, whatever it was in training, since a test is not reset.
+    Everything is frozen: no noise, no learning, the boundary as training left it. `autonomous`:
+    nobody intervenes; alarms and judgements are recorded all the same. `assisted`: arbiter and
+    human are on, and an intervention is a takeover, whatever it was in training, since a test is
+    not reset.
     """
 
     def __init__(self, agent: Agent, pool: WalkerPool):
@@ -111,14 +112,15 @@ class Evaluator:
 
         def one(episode: jax.Array) -> agents.ActingState:
             state = agents.init_acting(self._agent, hyper, jax.random.fold_in(key, episode))
-            return state.replace(boundary=boundary)  # type: ignore[attr-defined]
+            return dataclasses.replace(state, boundary=boundary)
 
         return jax.vmap(one)(episodes)
 
 
 def frozen(hyper: RunHyper, human_present: bool) -> RunHyper:
     """The hyperparameters of a test: no exploration, no movement of the boundary."""
-    return hyper.replace(  # type: ignore[attr-defined]
+    return dataclasses.replace(
+        hyper,
         human_present=float(human_present),
         exploration_noise=0.0,
         boundary_noise=0.0,

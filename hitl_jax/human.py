@@ -62,16 +62,16 @@ def validate_human_params(params: HumanParams, max_delay: int = MAX_DELAY) -> No
     Raises:
         ValueError: one line with the option, the value and what is allowed.
     """
-    _require("tolerance", params.tolerance, params.tolerance > 0, "above 0")
-    _require("horizon", params.horizon, params.horizon >= 0, "at least 0")
+    _require("tolerance", params.tolerance, lambda value: value > 0, "a finite number above 0")
+    _require("horizon", params.horizon, lambda value: value >= 0, "a finite number of at least 0")
     for name in ("mistake_rate", "lapse_rate"):
-        rate = getattr(params, name)
-        _require(name, rate, 0 <= rate <= 1, "from 0 to 1")
-    bounds = {"delay": max_delay, "max_interventions": UNLIMITED, "refractory_steps": UNLIMITED}
-    for name, most in bounds.items():
-        count = getattr(params, name)
-        whole = isinstance(count, int) and 0 <= count <= most
-        _require(name, count, whole, f"a whole number from 0 to {most}")
+        _require(name, getattr(params, name), lambda value: 0 <= value <= 1, "from 0 to 1")
+    limits = {"delay": max_delay, "max_interventions": UNLIMITED, "refractory_steps": UNLIMITED}
+    for name, most in limits.items():
+        value = getattr(params, name)
+        if not isinstance(value, int):
+            raise ValueError(f"{_option(name)} {value}: must be a whole number")
+        _require(name, value, range(most + 1).__contains__, f"from 0 to {most}")
 
 
 class HumanPart(NamedTuple):
@@ -376,8 +376,11 @@ def _unmoved(
     return state
 
 
-def _require(name: str, value: Any, allowed: bool, bounds: str) -> None:
+def _require(name: str, value: Any, allowed: Callable[[Any], bool], bounds: str) -> None:
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (number and math.isfinite(value) and allowed):
-        option = name.replace("_", "-")
-        raise ValueError(f"--human.{option} {value}: must be {bounds}")
+    if not (number and math.isfinite(value) and allowed(value)):
+        raise ValueError(f"{_option(name)} {value}: must be {bounds}")
+
+
+def _option(name: str) -> str:
+    return "--human." + name.replace("_", "-")

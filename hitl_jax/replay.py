@@ -1,9 +1,9 @@
 """Replay of R runs in lockstep: one ring of frames, one cursor, each observation stored once.
 
-A frame is what happened at one tick of one run: the observation, and the step taken from it. The next
-observation is the next frame's, so nothing is stored twice. When an episode ends (terminated or
-truncated alike) the run spends one tick on the reset; that tick's frame is `final`: it holds the true
-last observation, no step was taken from it and it is never drawn as the start of a transition.
+A frame is what happened at one tick of one run: the observation, and the step taken from it. The
+next observation is the next frame's, so nothing is stored twice. When an episode ends (terminated
+or truncated alike) the run spends one tick on the reset; that tick's frame is `final`: it holds the
+true last observation, no step was taken from it and it is never drawn as the start of a transition.
 
 Memory: capacity · R · width · 4 bytes, with width = O + A + 7. BipedalWalker has width 35: 200,000
 frames of one run take 28 MB, of thirty runs 840 MB. The pool D of Algorithm 1 is the same ring read
@@ -163,9 +163,9 @@ def sample(
 ) -> Transition:
     """Draws n-step transitions of one run, uniformly with replacement.
 
-    R = Σ_{i<m} γ^i r_{t+i}, where m is n or the number of steps left in the episode. The bootstrap is
-    γ^m after m steps, 0 if the last of them terminated; a truncated step keeps it, with the true final
-    observation.
+    R = Σ_{i<m} γ^i r_{t+i}, where m is n or the number of steps left in the episode. The bootstrap
+    is γ^m after m steps, 0 if the last of them terminated; a truncated step keeps it, with the true
+    final observation.
 
     Args:
         replay: the ring; `num_starts` must be positive.

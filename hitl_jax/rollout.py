@@ -1,11 +1,11 @@
 """The host loop: walkers on one side, the learner on the other, both busy.
 
-Time is cut into ticks (one step of every walker) and chunks of U ticks. While the walkers play chunk
-i+1, the device learns from chunk i; the parameters that act in chunk i+1 are those learned up to chunk
-i−1. That lag is part of a run's definition: it is the same whatever the machine's speed.
+Time is cut into ticks (one step of every walker) and chunks of U ticks. While the walkers play
+chunk i+1, the device learns from chunk i; the parameters that act in chunk i+1 are those learned up
+to chunk i−1. That lag is part of a run's definition: it is the same whatever the machine's speed.
 
-A slot is a column of the batch. Runs wait in a queue for a slot; a run that is done leaves its slot at
-once, and takes no more time. Nothing a run computes depends on its slot or on its neighbours.
+A slot is a column of the batch. Runs wait in a queue for a slot; a run that is done leaves its slot
+at once, and takes no more time. Nothing a run computes depends on its slot or on its neighbours.
 """
 
 import dataclasses
@@ -31,20 +31,17 @@ class LoopConfig:
     """How much a run plays and learns.
 
     Attributes:
-        episodes: training episodes of a run.
         capacity: frames in the replay of a run; rounded up to whole chunks.
         chunk: environment steps between two calls of the learner.
         updates_per_step: updates of the task learner per environment step.
     """
 
-    episodes: int = 1000
     capacity: int = 200_000
     chunk: int = 16
     updates_per_step: float = 0.5
 
     def __post_init__(self) -> None:
         """Checks every number; ValueError names the option, the value and what is allowed."""
-        require("episodes", self.episodes, at_least=1)
         require("chunk", self.chunk, at_least=1)
         require("capacity", self.capacity, at_least=2 * self.chunk)
         require("updates_per_step", self.updates_per_step, at_least=0.0)
@@ -63,19 +60,27 @@ class LoopConfig:
         updates = self.chunk * self.updates_per_step
         if updates != round(updates) or round(updates) % policy_delay:
             raise ValueError(
-                f"--updates-per-step {self.updates_per_step}: times --chunk {self.chunk} it must be "
-                f"a multiple of {policy_delay}, the learner's policy delay"
+                f"--updates-per-step {self.updates_per_step}: times --chunk {self.chunk} it must "
+                f"be a multiple of {policy_delay}, the learner's policy delay"
             )
         return round(updates)
 
 
 @dataclasses.dataclass(frozen=True)
 class RunSpec:
-    """A run is its method and seed; `hyper` is what the method makes of the options."""
+    """A run is its method and seed; `hyper` is what the method makes of the options.
+
+    Attributes:
+        method: which method.
+        seed: which seed.
+        hyper: hyperparameters, host scalars.
+        episodes: training episodes after which the run is done.
+    """
 
     method: Method
     seed: int
     hyper: RunHyper
+    episodes: int
 
 
 @dataclasses.dataclass
@@ -294,7 +299,7 @@ class Rollout:
         run.episodes.append({"episode": len(run.episodes) + 1, "env_steps": run.env_steps, **row})
         self._needs_reset[slot] = True
         self._seeds[slot] = episode_seed(run.spec.method, run.spec.seed, len(run.episodes))
-        if len(run.episodes) == self._config.episodes:
+        if len(run.episodes) == run.spec.episodes:
             run.done = True
             self._active[slot] = False
 
@@ -316,6 +321,9 @@ class Rollout:
     def _collect(self, run: Run) -> FinishedRun:
         train, acting = (
             jax.device_get(self._take(tree, run.slot))
-            for tree in (self._seats.train.replace(key=None), self._acting.state.boundary)
+            for tree in (
+                dataclasses.replace(self._seats.train, key=None),
+                self._acting.state.boundary,
+            )
         )
         return FinishedRun(run=run, train=train, boundary=acting)

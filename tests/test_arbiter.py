@@ -11,7 +11,11 @@ def _play(intervention, alarms, dangers, takeover_steps=3):
     rulings = []
     for alarmed, dangerous in zip(alarms, dangers, strict=True):
         state, ruling = arbiter.rule(
-            state, intervention, jnp.array(alarmed, bool), jnp.array(dangerous, bool), takeover_steps
+            state,
+            intervention,
+            jnp.array(alarmed, bool),
+            jnp.array(dangerous, bool),
+            takeover_steps,
         )
         rulings.append(ruling)
     fields = ("control", "began", "human_action", "human_reset")

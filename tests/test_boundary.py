@@ -108,9 +108,7 @@ def test_actor_loss_by_hand_and_its_gradient():
         return params["g"] * observation[:, 0]
 
     def loss(params):
-        return boundary.boundary_actor_loss(
-            params, actor, _critic, critic, _SAMPLE.observation
-        )[0]
+        return boundary.boundary_actor_loss(params, actor, _critic, critic, _SAMPLE.observation)[0]
 
     params = {"g": jnp.array(0.5)}
     # τ = (0.5, 1); Q = (1 + 1, 2 + 2); loss -3; d/dg = -mean(2 s) = -3: ascent raises τ.

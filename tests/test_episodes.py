@@ -48,7 +48,8 @@ def test_counts_by_hand():
     assert (row["fall"], row["end"]) == (1, "fall")
     assert math.isclose(row["mean_boundary"], 0.6)
     assert row["final_boundary"] == 0.6
-    # Alarms at steps 2 and 3 of 3; the fall is step 3: two timely alarms, the first one step before.
+    # Alarms at steps 2 and 3 of 3; the fall is step 3: two timely alarms, the first one step
+    # before.
     assert (row["alarms_before_fall"], row["lead_steps"]) == (2, 1.0)
 
 

@@ -2,6 +2,7 @@ import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from absl.testing import absltest, parameterized
 from jax.test_util import check_grads
 
@@ -54,9 +55,9 @@ class LossesTest(chex.TestCase):
     def test_critic_loss_by_hand(self):
         params = {"weights": jnp.array([[1.0, 2.0], [0.0, 1.0]])}
         target = jnp.array([3.0, -1.0])
-        loss, metrics = self.variant(
-            lambda p, t: losses.critic_loss(p, _linear_critic, _BATCH, t)
-        )(params, target)
+        loss, metrics = self.variant(lambda p, t: losses.critic_loss(p, _linear_critic, _BATCH, t))(
+            params, target
+        )
         # Critic 1: q = (1 + 1, 2 - 2) = (2, 0); errors (-1, 1); mean square 1.
         # Critic 2: q = (0.5, -1); errors (-2.5, 0); mean square 3.125. Sum 4.125.
         np.testing.assert_allclose(loss, 4.125)
@@ -67,7 +68,9 @@ class LossesTest(chex.TestCase):
         actor = {"gain": jnp.array(0.5)}
         critic = {"weights": jnp.array([[1.0, 2.0], [50.0, 50.0]])}
         loss, _ = self.variant(
-            lambda p: losses.actor_loss(p, _linear_actor, _linear_critic, critic, _BATCH.observation)
+            lambda p: losses.actor_loss(
+                p, _linear_actor, _linear_critic, critic, _BATCH.observation
+            )
         )(actor)
         # a = (0.5, 1); q1 = (1 + 1, 2 + 2); loss = -3.
         np.testing.assert_allclose(loss, -3.0)
@@ -76,14 +79,22 @@ class LossesTest(chex.TestCase):
         params = {"weights": jnp.array([[1.0, 2.0], [0.3, 1.0]])}
         target = jnp.array([3.0, -1.0])
         check_grads(
-            lambda p: losses.critic_loss(p, _linear_critic, _BATCH, target)[0], (params,), order=1,
-            modes=["rev"], atol=1e-2, rtol=1e-2,
+            lambda p: losses.critic_loss(p, _linear_critic, _BATCH, target)[0],
+            (params,),
+            order=1,
+            modes=["rev"],
+            atol=1e-2,
+            rtol=1e-2,
         )
         check_grads(
             lambda p: losses.actor_loss(
                 p, _linear_actor, _linear_critic, params, _BATCH.observation
             )[0],
-            ({"gain": jnp.array(0.5)},), order=1, modes=["rev"], atol=1e-2, rtol=1e-2,
+            ({"gain": jnp.array(0.5)},),
+            order=1,
+            modes=["rev"],
+            atol=1e-2,
+            rtol=1e-2,
         )
 
     @parameterized.parameters((0.0, 10.0, 0.9), (1.0, 0.3, 1.0), (-1.0, 0.3, 0.6))
@@ -95,7 +106,7 @@ class LossesTest(chex.TestCase):
         np.testing.assert_allclose(action, [[expected]], rtol=1e-6)
 
     def test_shapes_are_checked_at_trace_time(self):
-        with self.assertRaises(AssertionError):
+        with pytest.raises(AssertionError):
             losses.target_q(jnp.zeros(2), jnp.zeros(3), jnp.zeros((2, 2)))
 
 

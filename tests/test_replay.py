@@ -21,7 +21,11 @@ def _frames(count, first=0, terminated=(), truncated=(), final=()):
         frames[run, :, _LAYOUT.boundary] = numbers / 10
         frames[run, :, _LAYOUT.next_boundary] = numbers / 10 + 0.5
         frames[run, :, _LAYOUT.boundary_reward] = 0.25
-        for column, where in (("terminated", terminated), ("truncated", truncated), ("final", final)):
+        for column, where in (
+            ("terminated", terminated),
+            ("truncated", truncated),
+            ("final", final),
+        ):
             frames[run, :, getattr(_LAYOUT, column)] = np.isin(numbers, where)
     return jnp.asarray(frames)
 

@@ -1,3 +1,5 @@
+import re
+
 import jax
 import numpy as np
 import pytest
@@ -9,11 +11,11 @@ from hitl_jax.rollout import LoopConfig, Rollout, RunSpec, episode_seed
 
 _CONFIG = AgentConfig(hidden_sizes=(16, 16), batch_size=16, n_step=2)
 _HYPER = Hyper(warmup_steps=64, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
-_LOOP = LoopConfig(episodes=12, capacity=512, chunk=8)
+_LOOP = LoopConfig(capacity=512, chunk=8)
 
 
 def _spec(method, seed, **changes):
-    return RunSpec(method, seed, hyper_for(method, _HYPER.replace(**changes)))
+    return RunSpec(method, seed, hyper_for(method, _HYPER.replace(**changes)), episodes=12)
 
 
 def _play(specs, slots, tile=2, config=_CONFIG, loop=_LOOP):
@@ -89,9 +91,7 @@ def test_a_finished_run_takes_no_more_steps():
 
 @pytest.mark.parametrize("terminates", [True, False])
 def test_a_human_reset_ends_the_episode_and_pays_the_feedback(terminates):
-    config = AgentConfig(
-        hidden_sizes=(16,), batch_size=16, human_reset_terminates=terminates
-    )
+    config = AgentConfig(hidden_sizes=(16,), batch_size=16, human_reset_terminates=terminates)
     done = _play([_spec(Method.HITL_FIX, 0)], slots=2, config=config)[Method.HITL_FIX, 0]
     reset = [row for row in done.run.episodes if row["end"] == "human-reset"]
     assert reset
@@ -109,16 +109,15 @@ def test_reset_seeds_come_from_method_seed_and_episode():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"episodes": 0}, "--episodes 0: must be at least 1"),
         ({"updates_per_step": -1.0}, "--updates-per-step -1.0: must be at least 0"),
         ({"capacity": 3}, "--capacity 3: must be at least 32"),
     ],
 )
 def test_bad_loop(change, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=re.escape(message)):
         LoopConfig(**change)
 
 
 def test_updates_of_a_chunk_must_be_whole():
-    with pytest.raises(ValueError, match="--updates-per-step 0.3"):
+    with pytest.raises(ValueError, match=r"--updates-per-step 0\.3"):
         LoopConfig(updates_per_step=0.3).num_updates(2)

@@ -9,9 +9,9 @@ from hitl_jax.episodes import FALL_REWARD
 class EnvPoolPool(WalkerPool):
     """N walkers in EnvPool.
 
-    EnvPool resets a walker at the call after its episode's end, ignores that call's action and gives
-    reward 0: that call is our RESET of a walker that has ended. Seeds are fixed when the pool is made,
-    so `seed` is not honoured and an episode cannot be repeated.
+    EnvPool resets a walker at the call after its episode's end, ignores that call's action and
+    gives reward 0: that call is our RESET of a walker that has ended. Seeds are fixed when the pool
+    is made, so `seed` is not honoured and an episode cannot be repeated.
     """
 
     seedable = False

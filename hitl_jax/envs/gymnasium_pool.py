@@ -1,5 +1,6 @@
 """Official gymnasium walkers, several in each of a few worker processes, over shared memory."""
 
+import itertools
 import mmap
 import os
 import select
@@ -19,16 +20,16 @@ _START_SECONDS = 120.0
 _POLL_SECONDS = 1.0
 _ERROR_CHARACTERS = 400
 
-_SINGLE_THREADED = {
-    name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-}
+_SINGLE_THREADED = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+)
 
 
 class GymnasiumPool(WalkerPool):
     """N walkers over some worker processes.
 
-    A walker's trajectory is a function of its seeds and actions alone: neither the number of workers
-    nor its place among the walkers matters.
+    A walker's trajectory is a function of its seeds and actions alone: neither the number of
+    workers nor its place among the walkers matters.
     """
 
     seedable = True
@@ -48,14 +49,14 @@ class GymnasiumPool(WalkerPool):
         self.num_walkers = num_walkers
         self.observation_size, self.action_size = _sizes(env_id)
         sizes = (num_walkers, self.observation_size, self.action_size)
-        self._file = tempfile.TemporaryFile()
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the pool
         self._file.truncate(shared.size(*sizes))
         self._memory = mmap.mmap(self._file.fileno(), shared.size(*sizes))
         self._arrays = shared.views(self._memory, *sizes)
         self._errors: list[IO[bytes]] = []
         self._workers: list[subprocess.Popen] = []
         bounds = np.linspace(0, num_walkers, num_workers + 1).round().astype(int).tolist()
-        for first, last in zip(bounds, bounds[1:], strict=False):
+        for first, last in itertools.pairwise(bounds):
             self._start(env_id, sizes, first, last)
         self._poll = select.poll()
         self._by_descriptor: dict[int, int] = {}
@@ -107,7 +108,7 @@ class GymnasiumPool(WalkerPool):
         self._workers, self._errors = [], []
 
     def _start(self, env_id: str, sizes: tuple[int, int, int], first: int, last: int) -> None:
-        errors = tempfile.TemporaryFile()
+        errors = tempfile.TemporaryFile()  # noqa: SIM115 - likewise
         numbers = (self._file.fileno(), *sizes, first, last)
         self._errors.append(errors)
         self._workers.append(

@@ -1,16 +1,17 @@
 """A process that steps some of a pool's walkers; started by `GymnasiumPool`, not by a person.
 
-For each byte on stdin it does one tick and answers with a byte on stdout. When stdin closes it ends,
-so that no worker outlives its pool, whatever way the pool's process went.
+For each byte on stdin it does one tick and answers with a byte on stdout. When stdin closes it
+ends, so that no worker outlives its pool, whatever way the pool's process went.
 """
 
+import functools
 import mmap
 import os
 import signal
 import sys
 import warnings
-
-import numpy as np
+from collections.abc import Callable
+from typing import Any
 
 from hitl_jax.envs import shared
 from hitl_jax.envs.base import Command
@@ -29,17 +30,18 @@ def main(arguments: list[str]) -> None:
         warnings.simplefilter("ignore")  # pygame's and pkg_resources' own, at import
         import gymnasium
 
-        envs = [gymnasium.make(env_id, disable_env_checker=True) for _ in range(first, last)]
+        make = functools.partial(gymnasium.make, env_id, disable_env_checker=True)
+        envs = [make() for _ in range(first, last)]
     memory = mmap.mmap(descriptor, shared.size(num_walkers, observation_size, action_size))
     arrays = shared.views(memory, num_walkers, observation_size, action_size)
     mine = shared.SharedArrays(*(array[first:last] for array in arrays))
     os.write(1, b".")
     while os.read(0, 1):
-        _tick(envs, mine)
+        _tick(make, envs, mine)
         os.write(1, b".")
 
 
-def _tick(envs: list, arrays: shared.SharedArrays) -> None:
+def _tick(make: Callable[[], Any], envs: list[Any], arrays: shared.SharedArrays) -> None:
     arrays.reward[:] = 0.0
     arrays.terminated[:] = False
     arrays.truncated[:] = False
@@ -52,8 +54,12 @@ def _tick(envs: list, arrays: shared.SharedArrays) -> None:
             arrays.terminated[index] = terminated
             arrays.truncated[index] = truncated
         elif commands[index] == Command.RESET:
-            observation, _ = env.reset(seed=int(arrays.seed[index]))
-            arrays.observation[index] = np.asarray(observation)
+            # Box2D's world remembers earlier episodes, and the same seed then plays out otherwise.
+            # A new environment costs a fortieth of a reset.
+            env.close()
+            envs[index] = make()
+            observation, _ = envs[index].reset(seed=int(arrays.seed[index]))
+            arrays.observation[index] = observation
 
 
 if __name__ == "__main__":
