@@ -28,7 +28,7 @@ from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs import Command, make_pool
 from hitl_jax.provenance import versions
-from hitl_jax.rollout import LoopConfig, Rollout, RunSpec
+from hitl_jax.rollout import CPU_TILE, LoopConfig, Rollout, RunSpec
 
 Row = dict[str, Any]
 PRODUCT_SIZE = 2048
@@ -48,7 +48,7 @@ class BenchmarkOptions:
 
     only: tuple[str, ...] = ("learner", "pool", "loop")
     json: str | None = None
-    tile: int = 1
+    tile: int = CPU_TILE
     seconds: float = 2.0
 
 

@@ -144,7 +144,7 @@ def parse(options: type[T], args: Sequence[str] | None = None) -> T:
     """
     said = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said):
+        with contextlib.redirect_stderr(said), checking_input():
             return tyro.cli(options, args=args)
     except SystemExit as stop:
         if stop.code in (0, None):

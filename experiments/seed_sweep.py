@@ -17,17 +17,25 @@ import jax
 import numpy as np
 
 from experiments.devices import use_all_cores
-from experiments.options import SweepOptions, checking_input, run_main
+from experiments.options import BadInput, SweepOptions, checking_input, run_main
 from experiments.progress import Progress
 from hitl_jax import batch, checkpoint, figures, human_actions
 from hitl_jax.agent import Agent, make_agent
 from hitl_jax.config import Method, hyper_for
 from hitl_jax.envs import make_pool
 from hitl_jax.evaluation import Evaluator, Mode
+from hitl_jax.files import ResultsError
 from hitl_jax.networks import Actor
 from hitl_jax.provenance import git_commit, versions
 from hitl_jax.results import ResultsFolder, RunKey
-from hitl_jax.rollout import FinishedRun, Rollout, RunSpec, episode_seed, method_index
+from hitl_jax.rollout import (
+    CPU_TILE,
+    FinishedRun,
+    Rollout,
+    RunSpec,
+    episode_seed,
+    method_index,
+)
 from hitl_jax.summary import write_summary
 from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
 from hitl_jax.types import Behavior
@@ -56,7 +64,10 @@ def main(options: SweepOptions) -> int:
         if options.backend == "envpool":
             make_pool("envpool", 1).close()  # a missing extra is noticed before the folder is made
         command = shlex.join(["python", "-m", "experiments.seed_sweep", *sys.argv[1:]])
-        folder.create_or_resume(config, command)
+        try:
+            folder.create_or_resume(config, command)
+        except ResultsError as error:
+            raise BadInput(f"--out {error}") from error
     seeds = range(options.first_seed, options.first_seed + scale.seeds)
     wanted = [
         RunSpec(method, seed, hyper_for(method, options.hyper), scale.episodes)
@@ -125,7 +136,8 @@ class _Sweep:
                 f"devices; results in {options.out}"
             )
             evaluator = Evaluator(self._agent, test_pool)
-            self._rollout = Rollout(self._agent, self._specs, pool, options.loop)
+            tile = CPU_TILE if jax.default_backend() == "cpu" else slots
+            self._rollout = Rollout(self._agent, self._specs, pool, options.loop, tile)
             for done in self._rollout:
                 for finished in done:
                     self._finish(finished, evaluator)

@@ -130,8 +130,8 @@ class Hyper:
     target_noise: float = 0.2
     target_noise_clip: float = 0.5
     exploration_noise: float = 0.2
-    noise_correlation: float = 0.0
-    warmup_steps: int = 5000
+    noise_correlation: float = 0.8
+    warmup_steps: int = 2000
     initial_boundary: float = 0.7
     delta_minus: float = 1e-3
     delta_plus: float = 1e-3

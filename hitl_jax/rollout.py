@@ -25,6 +25,10 @@ from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.episodes import EpisodeCounter, Row, Step
 from hitl_jax.types import Params
 
+CPU_TILE = 3
+"""Runs learned together on one CPU device: enough to share the cost of small operations, few enough
+to stay in cache."""
+
 
 @dataclasses.dataclass(frozen=True)
 class LoopConfig:
@@ -140,7 +144,7 @@ class Rollout:
         specs: Sequence[RunSpec],
         pool: WalkerPool,
         config: LoopConfig,
-        tile: int = 1,
+        tile: int = CPU_TILE,
     ):
         """Places everything on the devices.
 
