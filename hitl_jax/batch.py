@@ -170,7 +170,11 @@ def make_programs(agent: Agent, mesh: Mesh, num_updates: int, tile: int) -> Prog
         seat=jax.jit(seat, donate_argnums=0, out_shardings=_seat_shardings(mesh)),
         seat_acting=jax.jit(seat_acting, donate_argnums=0),
         act=jax.jit(functools.partial(_act_all, agent), donate_argnums=0),
-        learn=jax.jit(learn, donate_argnums=0),
+        learn=jax.jit(
+            learn,
+            donate_argnums=0,
+            out_shardings=(_seat_shardings(mesh), NamedSharding(mesh, P(AXIS))),
+        ),
     )
 
 

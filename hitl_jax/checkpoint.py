@@ -52,7 +52,7 @@ def load_actor(path: str | os.PathLike[str], observation_size: int, action_size:
         ValueError: one line, if the file is missing, no checkpoint, or of another walker.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
             names = [name for name in archive.files if name.startswith("actor/")]
             actor = unflatten({name: archive[name] for name in names}).get("actor")
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError) as error:

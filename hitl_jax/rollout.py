@@ -12,7 +12,7 @@ import dataclasses
 import math
 import zlib
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import jax
 import numpy as np
@@ -205,11 +205,6 @@ class Rollout:
     def runs(self) -> list[Run]:
         """The runs under way."""
         return [run for run in self._runs if run is not None]
-
-    def compiled(self) -> int:
-        """Programs compiled so far by the loop; constant after the first minute."""
-        programs: list[Callable] = [*self._programs, self._take, self._replace]
-        return sum(program._cache_size() for program in programs)  # type: ignore[attr-defined]
 
     def _slot_order(self) -> list[int]:
         """Slots such that neighbours in the queue go to different devices."""

@@ -1,4 +1,4 @@
-"""Pools of real walkers: the only rooms that import gymnasium or EnvPool."""
+"""Host pools of real walkers: the only rooms that import gymnasium or EnvPool, and both lazily."""
 
 import os
 
@@ -11,34 +11,56 @@ __all__ = ["BACKENDS", "WALKER", "Command", "StepBatch", "WalkerError", "WalkerP
 
 
 def make_pool(
-    backend: str, num_walkers: int, num_workers: int | None = None, env_id: str = WALKER
+    backend: str,
+    num_walkers: int,
+    num_workers: int | None = None,
+    env_id: str = WALKER,
+    *,
+    seed: int = 0,
 ) -> WalkerPool:
-    """A pool of walkers.
+    """Makes a pool of walkers; close it, or use it in a `with`.
 
     Args:
-        backend: `gymnasium` (the official environment, in worker processes) or `envpool` (faster;
-            its episodes cannot be seeded one by one).
+        backend: `gymnasium` (the official environment in worker processes; episodes are seeded) or
+            `envpool` (several times faster; its Box2D is another version and episodes cannot be
+            seeded).
         num_walkers: N.
-        num_workers: processes (threads of EnvPool); one a core by default.
-        env_id: any environment of the backend with flat observations and actions in [-1, 1].
+        num_workers: processes (`gymnasium`) or threads (`envpool`), at most N are used; by default
+            one for each core that this process may use.
+        env_id: an environment with flat observations and flat continuous actions.
+        seed: seed of all EnvPool's episodes together, in [0, 2³¹). `gymnasium` does not read it:
+            there each RESET brings a seed.
 
     Raises:
-        ValueError: for an unknown backend or a number below 1.
-        ImportError: if the backend is not installed, with the extra that brings it.
-        WalkerError: if a worker does not come up.
+        ValueError: if an argument is not allowed; one line with its name, value and what is.
+        ImportError: if EnvPool is asked for and missing; one line with the extra to install.
+        WalkerError: if a worker process does not come up.
     """
     if backend not in BACKENDS:
-        raise ValueError(f"backend {backend}: must be one of {', '.join(BACKENDS)}")
+        raise ValueError(f"backend {backend!r}: must be one of {', '.join(BACKENDS)}")
     if num_workers is None:
-        num_workers = len(os.sched_getaffinity(0))
-    for name, value in (("num_walkers", num_walkers), ("num_workers", num_workers)):
-        if value < 1:
-            raise ValueError(f"{name} {value}: must be at least 1")
+        num_workers = _num_cores()
+    _require_count("num_walkers", num_walkers)
+    _require_count("num_workers", num_workers)
+    if not 0 <= seed < 2**31:
+        raise ValueError(f"seed {seed!r}: must be in [0, 2**31)")
     num_workers = min(num_workers, num_walkers)
     if backend == "envpool":
-        from hitl_jax.envs.envpool_pool import EnvPoolPool
+        from hitl_jax.envs.envpool_pool import EnvpoolPool
 
-        return EnvPoolPool(env_id, num_walkers, num_workers)
+        return EnvpoolPool(env_id, num_walkers, num_workers, seed=seed)
     from hitl_jax.envs.gymnasium_pool import GymnasiumPool
 
     return GymnasiumPool(env_id, num_walkers, num_workers)
+
+
+def _num_cores() -> int:
+    """Cores that this process may use: fewer than the machine has, under `taskset` for example."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _require_count(name: str, value: int) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+        raise ValueError(f"{name} {value!r}: must be a whole number of at least 1")

@@ -1,14 +1,11 @@
-"""One interface for pools of walkers, whatever steps them."""
+"""The one interface of all pools of walkers, and the checks that they share."""
 
+import abc
 import enum
 from types import TracebackType
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
-
-
-class WalkerError(RuntimeError):
-    """A walker's process raised or died."""
 
 
 class Command(enum.IntEnum):
@@ -19,15 +16,23 @@ class Command(enum.IntEnum):
     RESET = 2
 
 
+class WalkerError(RuntimeError):
+    """A worker raised, died, or did not come up; one line, and the worker's log as a note."""
+
+
 class StepBatch(NamedTuple):
-    """What one tick brought; arrays that the caller may keep.
+    """What one tick brought; the arrays are the caller's to keep.
+
+    There is no automatic reset: after its last STEP a walker waits for a RESET in a later tick.
+    `terminated` and `truncated` can both be true, as gymnasium has it for a fall in the step that
+    reaches the time limit.
 
     Attributes:
-        observation: after a STEP the true observation, the final one if the episode ended; after a
-            RESET the first of the new episode; after IDLE the last; float32 [N, O].
-        reward: of a STEP, 0 otherwise, float32 [N].
-        terminated: whether the step ended the task, bool [N].
-        truncated: whether it reached the time limit, bool [N]. Both may be true; neither is merged.
+        observation: STEP: s_{t+1}, the true final one where the episode ended. RESET: the first of
+            the new episode. IDLE: the last one again, zeros before the first RESET. float32 [N, O].
+        reward: of a STEP; 0 otherwise. float32 [N].
+        terminated: whether the STEP ended the task: a fall or the goal. bool [N].
+        truncated: whether the STEP reached the time limit. bool [N].
     """
 
     observation: np.ndarray
@@ -37,13 +42,13 @@ class StepBatch(NamedTuple):
 
 
 class WalkerPool(Protocol):
-    """N walkers that are stepped together. There is no automatic reset.
+    """N walkers that tick together.
 
     Attributes:
         num_walkers: N.
         observation_size: O.
         action_size: A.
-        seedable: whether a RESET takes its seed, so that episodes repeat.
+        seedable: whether a RESET honours its seed, so that an episode can be repeated.
     """
 
     num_walkers: int
@@ -51,32 +56,142 @@ class WalkerPool(Protocol):
     action_size: int
     seedable: bool
 
-    def step(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> StepBatch:
-        """One tick.
+    def send(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> None:
+        """Starts a tick, and returns while the walkers are at it.
 
         Args:
             command: a `Command` for each walker, uint8 [N].
-            action: read where the command is STEP, float32 [N, A].
-            seed: read where the command is RESET, uint32 [N].
+            action: read where the command is STEP; beyond [-1, 1] the environment clips it.
+                float32 [N, A].
+            seed: read where the command is RESET, if the pool is `seedable`. uint32 [N].
 
         Raises:
-            WalkerError: if a walker's process raised or died.
+            ValueError: for a wrong shape or command, an action that is not finite, or a STEP of a
+                walker whose episode has ended or never began.
+            RuntimeError: if the pool is closed, or the tick before was not received.
         """
         ...
 
-    def close(self) -> None:
-        """Ends all processes; may be called twice."""
+    def recv(self) -> StepBatch:
+        """Waits for the end of the tick.
+
+        Raises:
+            WalkerError: if a worker raised or died; the pool is closed then.
+            RuntimeError: if no tick was sent.
+        """
         ...
 
+    def step(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> StepBatch:
+        """`send`, then `recv`."""
+        ...
+
+    def close(self) -> None:
+        """Ends all workers. May be called twice."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None: ...
+
+
+class CheckedPool(abc.ABC):
+    """A `WalkerPool` less what steps the walkers: checks, order of calls, who is in mid-episode."""
+
+    seedable: bool
+
+    def __init__(self, num_walkers: int, observation_size: int, action_size: int):
+        """Starts with all walkers waiting for their first RESET.
+
+        Args:
+            num_walkers: N.
+            observation_size: O.
+            action_size: A.
+        """
+        self.num_walkers = num_walkers
+        self.observation_size = observation_size
+        self.action_size = action_size
+        self._playing = np.zeros(num_walkers, bool)
+        self._sent: np.ndarray | None = None
+        self._closed = False
+
+    @abc.abstractmethod
+    def _start(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> None:
+        """Starts a tick whose arguments have been checked."""
+
+    @abc.abstractmethod
+    def _finish(self, command: np.ndarray) -> StepBatch:
+        """Waits for the end of the tick that `command` started."""
+
+    @abc.abstractmethod
+    def _shutdown(self) -> None:
+        """Ends all workers; called once."""
+
+    def send(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> None:
+        """Starts a tick; see `WalkerPool.send`."""
+        if self._closed:
+            raise RuntimeError("send: the pool is closed")
+        if self._sent is not None:
+            raise RuntimeError("send: the tick before was not received; call recv first")
+        command = np.array(command, np.uint8)  # A copy: recv reads it again.
+        action = np.asarray(action, np.float32)
+        seed = np.asarray(seed, np.uint32)
+        self._check(command, action, seed)
+        self._start(command, action, seed)
+        self._sent = command
+
+    def recv(self) -> StepBatch:
+        """Waits for the end of the tick; see `WalkerPool.recv`."""
+        if self._sent is None:
+            raise RuntimeError("recv: no tick was sent")
+        batch = self._finish(self._sent)
+        self._playing |= self._sent == Command.RESET
+        self._playing &= ~(batch.terminated | batch.truncated)
+        self._sent = None
+        return batch
+
+    def step(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> StepBatch:
+        """`send`, then `recv`; see there."""
+        self.send(command, action, seed)
+        return self.recv()
+
+    def close(self) -> None:
+        """Ends all workers. May be called twice."""
+        if not self._closed:
+            self._closed = True
+            self._sent = None
+            self._shutdown()
+
     def __enter__(self) -> Self:
-        """For `with`."""
         return self
 
     def __exit__(
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,
-        trace: TracebackType | None,
+        traceback: TracebackType | None,
     ) -> None:
-        """Closes the pool."""
         self.close()
+
+    def _check(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> None:
+        """Raises ValueError with one line for a tick that cannot be played."""
+        num = self.num_walkers
+        shapes = {"command": (num,), "action": (num, self.action_size), "seed": (num,)}
+        for (name, shape), array in zip(shapes.items(), (command, action, seed), strict=True):
+            if array.shape != shape:
+                raise ValueError(f"{name} has shape {array.shape}: must be {shape}")
+        if command.max() > max(Command):
+            raise ValueError(f"command {command.max()}: must be one of {[*map(int, Command)]}")
+        stepped = command == Command.STEP
+        if (stepped & ~self._playing).any():
+            walker = int((stepped & ~self._playing).argmax())
+            raise ValueError(f"command STEP of walker {walker}: not in an episode, RESET it first")
+        # Box2D does not refuse a NaN: it would go on with a broken world, or abort the process.
+        if not np.isfinite(action).all():
+            broken = stepped & ~np.isfinite(action).all(axis=1)
+            if broken.any():
+                raise ValueError(f"action of walker {int(broken.argmax())}: must be finite")

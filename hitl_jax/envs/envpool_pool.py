@@ -1,79 +1,97 @@
-"""EnvPool's walkers, stepped by threads in C++: faster, with Box2D 2.4 and terrain of its own."""
+"""EnvPool's walkers: the same task in C++, stepped by threads of this process."""
 
 import numpy as np
 
-from hitl_jax.envs.base import Command, StepBatch, WalkerPool
-from hitl_jax.episodes import FALL_REWARD
+from hitl_jax.envs.base import CheckedPool, Command, StepBatch
+
+_NO_LIMIT = 2**31 - 1
 
 
-class EnvPoolPool(WalkerPool):
-    """N walkers in EnvPool.
+class EnvpoolPool(CheckedPool):
+    """N walkers of EnvPool behind the interface of all pools.
 
-    EnvPool resets a walker at the call after its episode's end, ignores that call's action and
-    gives reward 0: that call is our RESET of a walker that has ended. Seeds are fixed when the pool
-    is made, so `seed` is not honoured and an episode cannot be repeated.
+    Not the same numbers as gymnasium: Box2D is 2.4 (gymnasium has 2.3), and terrain is seeded once,
+    when the pool is made, so a RESET's seed is not read and an episode cannot be repeated.
+
+    EnvPool's own ways, hidden here. The call after an episode's end resets the walker and ignores
+    the action: it is never made, a RESET is a reset of just the walkers that it names. A fall in
+    the step that reaches the time limit is told as truncated only: EnvPool is given no limit, and
+    the limit is kept here, with gymnasium's meaning.
     """
 
     seedable = False
 
-    def __init__(self, env_id: str, num_walkers: int, num_threads: int, seed: int = 0):
+    def __init__(
+        self,
+        env_id: str,
+        num_walkers: int,
+        num_threads: int,
+        seed: int = 0,
+        max_episode_steps: int | None = None,
+    ):
         """Makes the walkers.
 
         Args:
-            env_id: an environment of EnvPool.
+            env_id: EnvPool's name of the environment.
             num_walkers: N.
-            num_threads: threads of EnvPool.
-            seed: of all terrain.
+            num_threads: threads that step them.
+            seed: of all their episodes; walker i has `seed + i`.
+            max_episode_steps: time limit [steps]; the environment's own by default.
 
         Raises:
-            ImportError: if EnvPool is not installed.
+            ImportError: if EnvPool is missing.
+            ValueError: if EnvPool has no such environment.
         """
         try:
-            import envpool
+            import envpool  # type: ignore[import-not-found, unused-ignore]
         except ImportError as error:
             raise ImportError(
-                '--backend envpool: needs EnvPool; install it with pip install -e ".[fast]"'
+                f"backend 'envpool': {error}; install it with: pip install -e \".[fast]\""
             ) from error
-        self._env = envpool.make_gymnasium(
-            env_id, num_envs=num_walkers, num_threads=num_threads, seed=seed
+        if env_id not in envpool.list_all_envs():
+            raise ValueError(f"env_id {env_id!r}: must be one of envpool.list_all_envs()")
+        if max_episode_steps is None:
+            max_episode_steps = envpool.make_spec(env_id).config.max_episode_steps
+        self._limit = max_episode_steps
+        self._envs = envpool.make_gymnasium(
+            env_id,
+            num_envs=num_walkers,
+            num_threads=num_threads,
+            seed=seed,
+            max_episode_steps=_NO_LIMIT,
         )
-        self.num_walkers = num_walkers
-        (self.observation_size,) = self._env.observation_space.shape
-        (self.action_size,) = self._env.action_space.shape
-        self._observation = np.zeros((num_walkers, self.observation_size), np.float32)
-        # A walker that was never reset counts as ended: EnvPool then starts it at the first call.
-        self._ended = np.ones(num_walkers, bool)
+        (observation_size,) = self._envs.observation_space.shape
+        (action_size,) = self._envs.action_space.shape
+        super().__init__(num_walkers, observation_size, action_size)
+        self._observation = np.zeros((num_walkers, observation_size), np.float32)
 
-    def step(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> StepBatch:
-        """One tick; see `WalkerPool.step`. `seed` is not read."""
-        del seed
+    def _start(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> None:
+        stepped = _walkers(command, Command.STEP)
+        if stepped.size:
+            self._envs.send(action[stepped], stepped)
+
+    def _finish(self, command: np.ndarray) -> StepBatch:
         reward = np.zeros(self.num_walkers, np.float32)
         terminated = np.zeros(self.num_walkers, bool)
         truncated = np.zeros(self.num_walkers, bool)
-        resets = command == Command.RESET
-        forced = np.flatnonzero(resets & ~self._ended).astype(np.int32)
-        if forced.size:
-            observation, info = self._env.reset(forced)
-            self._observation[info["env_id"]] = observation
-        called = (command == Command.STEP) | (resets & self._ended)
-        ids = np.flatnonzero(called).astype(np.int32)
-        if ids.size:
-            observation, rewards, terminations, truncations, info = self._env.step(
-                np.ascontiguousarray(action[ids]), ids
-            )
+        if (command == Command.STEP).any():
+            observation, rewards, ended, _, info = self._envs.recv()
             order = info["env_id"]
             self._observation[order] = observation
             reward[order] = rewards
-            terminated[order] = terminations
-            truncated[order] = truncations
-        # EnvPool reports a fall at the time limit as truncated only.
-        terminated |= truncated & (reward <= FALL_REWARD)
-        for flags in (reward, terminated, truncated):
-            flags[resets] = 0
-        self._ended[resets] = False
-        self._ended |= terminated | truncated
+            terminated[order] = ended
+            truncated[order] = info["elapsed_step"] >= self._limit
+        # Not while the others step: EnvPool would mix up the answers of two calls under way.
+        reset = _walkers(command, Command.RESET)
+        if reset.size:
+            observation, info = self._envs.reset(reset)
+            self._observation[info["env_id"]] = observation
         return StepBatch(self._observation.copy(), reward, terminated, truncated)
 
-    def close(self) -> None:
-        """Ends EnvPool's threads."""
-        self._env.close()
+    def _shutdown(self) -> None:
+        self._envs.close()
+
+
+def _walkers(command: np.ndarray, order: Command) -> np.ndarray:
+    """Walkers with this command, as EnvPool wants them, int32."""
+    return np.flatnonzero(command == order).astype(np.int32)

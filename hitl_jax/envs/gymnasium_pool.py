@@ -1,88 +1,133 @@
-"""Official gymnasium walkers, several in each of a few worker processes, over shared memory."""
+"""Official gymnasium walkers, several in each of a few worker processes."""
 
-import itertools
-import mmap
+import contextlib
+import dataclasses
 import os
 import select
+import signal
 import subprocess
 import sys
 import tempfile
 import time
-from typing import IO
+from typing import IO, NoReturn
 
-import gymnasium
 import numpy as np
 
-from hitl_jax.envs import shared
-from hitl_jax.envs.base import StepBatch, WalkerError, WalkerPool
+from hitl_jax.envs.base import CheckedPool, StepBatch, WalkerError
+from hitl_jax.envs.shared import SIZES, map_arrays, num_bytes
 
-_START_SECONDS = 120.0
-_POLL_SECONDS = 1.0
-_ERROR_CHARACTERS = 400
+_CLOSE_SECONDS = 5.0
+_LOG_BYTES = 8192
 
-_SINGLE_THREADED = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
-)
+# A walker is one thread; a worker's BLAS must not start more and take the learner's cores.
+_WORKER_ENVIRONMENT = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "PYGAME_HIDE_SUPPORT_PROMPT": "1",
+    "SDL_VIDEODRIVER": "dummy",
+}
 
 
-class GymnasiumPool(WalkerPool):
-    """N walkers over some worker processes.
+@dataclasses.dataclass(frozen=True)
+class _Worker:
+    """A worker process and the pool's ends of its pipes.
 
-    A walker's trajectory is a function of its seeds and actions alone: neither the number of
-    workers nor its place among the walkers matters.
+    Attributes:
+        index: its place among the workers.
+        process: its stdin starts a tick, and ends the process when it closes.
+        reply: file descriptor on which it answers.
+        log: what it wrote to stdout and stderr; read only if it fails.
+    """
+
+    index: int
+    process: subprocess.Popen[bytes]
+    reply: int
+    log: IO[bytes]
+
+    def fate(self) -> str:
+        """How it ended, in one line."""
+        try:
+            code = self.process.wait(_CLOSE_SECONDS)
+        except subprocess.TimeoutExpired:
+            return "closed its pipe"
+        if code < 0:
+            return f"was killed by {signal.Signals(-code).name}"
+        return ": ".join([f"exited with {code}", *self.log_end().splitlines()[-1:]])
+
+    def log_end(self) -> str:
+        """The end of its log."""
+        self.log.seek(max(0, os.fstat(self.log.fileno()).st_size - _LOG_BYTES))
+        return self.log.read().decode(errors="replace").strip()
+
+
+class GymnasiumPool(CheckedPool):
+    """N official gymnasium walkers over W worker processes, walker i in worker i mod W.
+
+    An episode is a function of its seed and actions alone: neither W, nor the walker's place, nor
+    its earlier episodes matter. It equals, bit for bit, the first episode of a new
+    `gymnasium.make(env_id)` after `reset(seed=seed)`.
     """
 
     seedable = True
 
-    def __init__(self, env_id: str, num_walkers: int, num_workers: int):
-        """Starts the workers, all at once, and waits until they are ready.
+    def __init__(
+        self, env_id: str, num_walkers: int, num_workers: int, start_seconds: float = 120.0
+    ):
+        """Starts all workers at once and waits until they are ready.
 
         Args:
-            env_id: an environment with a flat observation and flat actions.
+            env_id: gymnasium's name of the environment, as in `gymnasium.make`.
             num_walkers: N.
-            num_workers: processes, at most N.
+            num_workers: W, at most N.
+            start_seconds: how long the workers may take to come up.
 
         Raises:
-            ValueError: if gymnasium does not know the environment, or its spaces are not flat.
-            WalkerError: if a worker does not come up.
+            WalkerError: if a worker fails or takes longer.
         """
-        self.num_walkers = num_walkers
-        self.observation_size, self.action_size = _sizes(env_id)
-        sizes = (num_walkers, self.observation_size, self.action_size)
-        self._file = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the pool
-        self._file.truncate(shared.size(*sizes))
-        self._memory = mmap.mmap(self._file.fileno(), shared.size(*sizes))
-        self._arrays = shared.views(self._memory, *sizes)
-        self._errors: list[IO[bytes]] = []
-        self._workers: list[subprocess.Popen] = []
-        bounds = np.linspace(0, num_walkers, num_workers + 1).round().astype(int).tolist()
-        for first, last in itertools.pairwise(bounds):
-            self._start(env_id, sizes, first, last)
+        self._workers: list[_Worker] = []
         self._poll = select.poll()
-        self._by_descriptor: dict[int, int] = {}
-        for index, worker in enumerate(self._workers):
-            assert worker.stdout is not None
-            self._by_descriptor[worker.stdout.fileno()] = index
-            self._poll.register(worker.stdout.fileno(), select.POLLIN)
+        memory = _anonymous_file()
         try:
-            self._wait(_START_SECONDS)
+            for index in range(num_workers):
+                self._workers.append(_launch(env_id, memory, num_walkers, index, num_workers))
+                self._poll.register(self._workers[-1].reply, select.POLLIN)
+            answers = self._replies(SIZES.size, time.monotonic() + start_seconds)
+            observation_size, action_size = SIZES.unpack(answers)
+            os.ftruncate(memory, num_bytes(num_walkers, observation_size, action_size))
+            self._arrays = map_arrays(memory, num_walkers, observation_size, action_size)
         except BaseException:
-            self.close()
+            self._shutdown()
             raise
+        finally:
+            os.close(memory)
+        super().__init__(num_walkers, observation_size, action_size)
 
-    def step(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> StepBatch:
-        """One tick; see `WalkerPool.step`."""
+    @property
+    def process_ids(self) -> list[int]:
+        """Of the workers."""
+        return [worker.process.pid for worker in self._workers]
+
+    def _start(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> None:
         arrays = self._arrays
         arrays.command[:] = command
         arrays.action[:] = action
         arrays.seed[:] = seed
-        for index, worker in enumerate(self._workers):
-            assert worker.stdin is not None
-            try:
-                os.write(worker.stdin.fileno(), b".")
-            except BrokenPipeError:
-                self._fail(index)
-        self._wait(None)
+        # The workers write these for a STEP only.
+        for array in (arrays.reward, arrays.terminated, arrays.truncated):
+            array[:] = 0
+        for worker in self._workers:
+            assert worker.process.stdin is not None
+            with contextlib.suppress(BrokenPipeError):  # It died; recv says why.
+                os.write(worker.process.stdin.fileno(), b".")
+
+    def _finish(self, command: np.ndarray) -> StepBatch:
+        try:
+            self._replies(1)
+        except WalkerError:
+            self.close()
+            raise
+        arrays = self._arrays
         return StepBatch(
             observation=arrays.observation.copy(),
             reward=arrays.reward.copy(),
@@ -90,76 +135,94 @@ class GymnasiumPool(WalkerPool):
             truncated=arrays.truncated.copy(),
         )
 
-    def close(self) -> None:
-        """Ends the workers; may be called twice."""
-        for worker in self._workers:
-            assert worker.stdin is not None and worker.stdout is not None
-            worker.stdin.close()
-        for worker in self._workers:
-            try:
-                worker.wait(timeout=5.0)
-            except subprocess.TimeoutExpired:
-                worker.kill()
-                worker.wait()
-            assert worker.stdout is not None
-            worker.stdout.close()
-        for file in (*self._errors, self._file):
-            file.close()
-        self._workers, self._errors = [], []
+    def _replies(self, size: int, deadline: float = float("inf")) -> bytes:
+        """Sleeps until every worker has answered; the last answer.
 
-    def _start(self, env_id: str, sizes: tuple[int, int, int], first: int, last: int) -> None:
-        errors = tempfile.TemporaryFile()  # noqa: SIM115 - likewise
-        numbers = (self._file.fileno(), *sizes, first, last)
-        self._errors.append(errors)
-        self._workers.append(
-            subprocess.Popen(
-                [sys.executable, "-m", "hitl_jax.envs.worker", env_id, *map(str, numbers)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=errors,
-                pass_fds=(self._file.fileno(),),
-                env=os.environ | _SINGLE_THREADED,
-                bufsize=0,
-            )
-        )
-
-    def _wait(self, seconds: float | None) -> None:
-        """Waits for a byte of every worker.
+        Args:
+            size: bytes in an answer.
+            deadline: on the monotonic clock, s.
 
         Raises:
-            WalkerError: if one died, or did not answer in time.
+            WalkerError: if a worker died, or the deadline passed.
         """
-        waiting = set(range(len(self._workers)))
-        deadline = None if seconds is None else time.monotonic() + seconds
+        waiting = {worker.reply: worker for worker in self._workers}
+        by_reply = dict(waiting)
+        answer = b""
         while waiting:
-            for descriptor, _ in self._poll.poll(1000 * _POLL_SECONDS):
-                if not os.read(descriptor, 1):
-                    self._fail(self._by_descriptor[descriptor])
-                waiting.discard(self._by_descriptor[descriptor])
-            if waiting and deadline is not None and time.monotonic() > deadline:
-                raise WalkerError(f"a walker process was not ready after {seconds:.0f} s")
+            # The pipe of a dead worker wakes us. Should another process hold its other end (a fork
+            # of ours), it does not; so look after them each second.
+            events = self._poll.poll(1000 * min(1.0, max(0.0, deadline - time.monotonic())))
+            for reply, _ in events:
+                answer = os.read(reply, size)
+                if not answer:
+                    self._fail(by_reply[reply])
+                waiting.pop(reply, None)
+            if waiting and not events:
+                for worker in waiting.values():
+                    if worker.process.poll() is not None:
+                        self._fail(worker)
+                if time.monotonic() >= deadline:
+                    late = f"{len(waiting)} of {len(by_reply)}"
+                    raise WalkerError(f"{late} walker processes did not come up in time")
+        return answer
 
-    def _fail(self, index: int) -> None:
-        """Raises for a worker whose pipe broke, with the end of what it said."""
-        try:
-            code = self._workers[index].wait(timeout=5.0)
-        except subprocess.TimeoutExpired:
-            code = None
-        self._errors[index].seek(0)
-        said = self._errors[index].read().decode(errors="replace")
-        said = " ".join(said.split())[-_ERROR_CHARACTERS:] or "no message"
-        raise WalkerError(f"walker process {index} ended with exit code {code}: {said}")
+    def _fail(self, worker: _Worker) -> NoReturn:
+        """Raises for a worker that ended by itself."""
+        number = f"{worker.index + 1} of {len(self._workers)}"
+        error = WalkerError(f"walker process {number} {worker.fate()}")
+        if log := worker.log_end():
+            error.add_note(f"The end of its log:\n{log}")
+        raise error
+
+    def _shutdown(self) -> None:
+        for worker in self._workers:
+            assert worker.process.stdin is not None
+            worker.process.stdin.close()
+        for worker in self._workers:
+            try:
+                worker.process.wait(_CLOSE_SECONDS)
+            except subprocess.TimeoutExpired:
+                worker.process.kill()
+                worker.process.wait()
+            os.close(worker.reply)
+            worker.log.close()
+        self._workers = []
 
 
-def _sizes(env_id: str) -> tuple[int, int]:
-    """O and A of an environment."""
+def _launch(env_id: str, memory: int, num_walkers: int, index: int, num_workers: int) -> _Worker:
+    """Starts a worker; does not wait for it.
+
+    A plain new interpreter: no fork of a process that has JAX's threads, no second import of the
+    user's main module. It finds the modules that this process finds (`sys.path`); its warnings at
+    import do not reach the terminal.
+    """
+    log = tempfile.TemporaryFile()  # noqa: SIM115, the pool closes it
+    reply, answer = os.pipe()
+    numbers = (memory, answer, num_walkers, index, num_workers)
+    command = [sys.executable, "-P", "-W", "ignore", "-X", "faulthandler"]
+    path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
     try:
-        env = gymnasium.make(env_id, disable_env_checker=True)
-    except gymnasium.error.Error as error:
-        raise ValueError(f"env_id {env_id}: {error}") from error
-    shapes = env.observation_space.shape, env.action_space.shape
-    env.close()
-    if any(shape is None or len(shape) != 1 for shape in shapes):
-        raise ValueError(f"env_id {env_id}: observations and actions must be flat, not {shapes}")
-    (observation,), (action,) = shapes  # type: ignore[misc]
-    return observation, action
+        process = subprocess.Popen(
+            [*command, "-m", "hitl_jax.envs.worker", env_id, *map(str, numbers)],
+            bufsize=0,
+            stdin=subprocess.PIPE,
+            stdout=log,
+            stderr=log,
+            pass_fds=(memory, answer),
+            env={**os.environ, **_WORKER_ENVIRONMENT, "PYTHONPATH": path},
+        )
+    except BaseException:
+        os.close(reply)
+        log.close()
+        raise
+    finally:
+        os.close(answer)
+    return _Worker(index, process, reply, log)
+
+
+def _anonymous_file() -> int:
+    """File descriptor of a file without a name, in memory where the system has such files."""
+    if sys.platform == "linux":
+        return os.memfd_create("hitl_jax")
+    with tempfile.TemporaryFile() as file:
+        return os.dup(file.fileno())

@@ -1,19 +1,23 @@
-"""The memory that a pool and its workers share: plain arrays in one anonymous file."""
+"""The memory that a pool and its worker processes share: a few arrays in one anonymous file."""
 
 import mmap
+import struct
 from typing import NamedTuple
 
 import numpy as np
 
+SIZES = struct.Struct("<2I")
+"""O and A, as a worker tells them when it is ready."""
+
 
 class SharedArrays(NamedTuple):
-    """Views of the shared memory; see `WalkerPool.step` for their meaning.
+    """One tick of N walkers: what the pool asks, and what the workers answer.
 
     Attributes:
         action: float32 [N, A].
         observation: float32 [N, O].
-        reward: float32 [N].
         seed: uint32 [N].
+        reward: float32 [N].
         command: uint8 [N].
         terminated: bool [N].
         truncated: bool [N].
@@ -21,34 +25,44 @@ class SharedArrays(NamedTuple):
 
     action: np.ndarray
     observation: np.ndarray
-    reward: np.ndarray
     seed: np.ndarray
+    reward: np.ndarray
     command: np.ndarray
     terminated: np.ndarray
     truncated: np.ndarray
 
 
-def size(num_walkers: int, observation_size: int, action_size: int) -> int:
-    """Bytes of the shared memory."""
+def num_bytes(num_walkers: int, observation_size: int, action_size: int) -> int:
+    """Size of the file."""
     return num_walkers * (4 * (action_size + observation_size + 2) + 3)
 
 
-def views(
-    memory: mmap.mmap, num_walkers: int, observation_size: int, action_size: int
+def map_arrays(
+    descriptor: int, num_walkers: int, observation_size: int, action_size: int
 ) -> SharedArrays:
-    """The arrays in a mapped file of `size` bytes, the wide ones first so that all are aligned."""
+    """Maps the file; the mapping lives as long as the arrays.
+
+    Args:
+        descriptor: of a file of `num_bytes` bytes; may be closed afterwards.
+        num_walkers: N.
+        observation_size: O.
+        action_size: A.
+    """
     n = num_walkers
-    shapes = [
+    memory = mmap.mmap(descriptor, num_bytes(num_walkers, observation_size, action_size))
+    # The four-byte arrays come first, so that each is aligned.
+    fields: list[tuple[tuple[int, ...], type]] = [
         ((n, action_size), np.float32),
         ((n, observation_size), np.float32),
-        ((n,), np.float32),
         ((n,), np.uint32),
+        ((n,), np.float32),
         ((n,), np.uint8),
         ((n,), np.bool_),
         ((n,), np.bool_),
     ]
-    arrays, offset = [], 0
-    for shape, dtype in shapes:
+    arrays = []
+    offset = 0
+    for shape, dtype in fields:
         array: np.ndarray = np.ndarray(shape, dtype, buffer=memory, offset=offset)
         arrays.append(array)
         offset += array.nbytes

@@ -1,66 +1,85 @@
-"""A process that steps some of a pool's walkers; started by `GymnasiumPool`, not by a person.
+"""A process that steps some of a pool's walkers; `GymnasiumPool` starts it, no person does.
 
-For each byte on stdin it does one tick and answers with a byte on stdout. When stdin closes it
-ends, so that no worker outlives its pool, whatever way the pool's process went.
+It first tells the sizes of its spaces. Then each byte on stdin is a tick: commands and actions are
+in the shared memory, results go there, and a byte back says that they are there. When stdin closes
+it ends; so no worker outlives its pool, not even if the pool's process was killed.
 """
 
-import functools
-import mmap
 import os
 import signal
 import sys
-import warnings
-from collections.abc import Callable
 from typing import Any
 
-from hitl_jax.envs import shared
 from hitl_jax.envs.base import Command
+from hitl_jax.envs.shared import SIZES, SharedArrays, map_arrays
 
 
-def main(arguments: list[str]) -> None:
-    """Serves walkers [first, last) of N.
+def main(
+    env_id: str, memory: int, reply: int, num_walkers: int, first: int, num_workers: int
+) -> None:
+    """Serves walkers `first`, `first + num_workers`, ... until stdin closes.
 
     Args:
-        arguments: environment id, file descriptor of the memory, N, O, A, first, last.
+        env_id: gymnasium's name of the environment.
+        memory: file descriptor of the shared memory; it gets its size before the first tick.
+        reply: file descriptor of the pipe to the pool.
+        num_walkers: N.
+        first: this worker's first walker.
+        num_workers: workers of the pool.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the pool's to handle.
-    env_id, *numbers = arguments
-    descriptor, num_walkers, observation_size, action_size, first, last = map(int, numbers)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # pygame's and pkg_resources' own, at import
-        import gymnasium
+    import gymnasium
 
-        make = functools.partial(gymnasium.make, env_id, disable_env_checker=True)
-        envs = [make() for _ in range(first, last)]
-    memory = mmap.mmap(descriptor, shared.size(num_walkers, observation_size, action_size))
-    arrays = shared.views(memory, num_walkers, observation_size, action_size)
-    mine = shared.SharedArrays(*(array[first:last] for array in arrays))
-    os.write(1, b".")
-    while os.read(0, 1):
-        _tick(make, envs, mine)
-        os.write(1, b".")
+    envs = [
+        gymnasium.make(env_id, disable_env_checker=True)
+        for _ in range(first, num_walkers, num_workers)
+    ]
+    sizes = _flat_size("observation", envs[0]), _flat_size("action", envs[0])
+    os.write(reply, SIZES.pack(*sizes))
+    if not os.read(0, 1):
+        return
+    arrays = SharedArrays(
+        *(array[first::num_workers] for array in map_arrays(memory, num_walkers, *sizes))
+    )
+    while True:
+        _tick(envs, arrays)
+        os.write(reply, b".")
+        if not os.read(0, 1):
+            return
 
 
-def _tick(make: Callable[[], Any], envs: list[Any], arrays: shared.SharedArrays) -> None:
-    arrays.reward[:] = 0.0
-    arrays.terminated[:] = False
-    arrays.truncated[:] = False
-    commands = arrays.command.tolist()
-    for index, env in enumerate(envs):
-        if commands[index] == Command.STEP:
-            observation, reward, terminated, truncated, _ = env.step(arrays.action[index])
-            arrays.observation[index] = observation
-            arrays.reward[index] = reward
-            arrays.terminated[index] = terminated
-            arrays.truncated[index] = truncated
-        elif commands[index] == Command.RESET:
-            # Box2D's world remembers earlier episodes, and the same seed then plays out otherwise.
-            # A new environment costs a fortieth of a reset.
-            env.close()
-            envs[index] = make()
-            observation, _ = envs[index].reset(seed=int(arrays.seed[index]))
-            arrays.observation[index] = observation
+def _tick(envs: list[Any], arrays: SharedArrays) -> None:
+    """Does what is asked of each walker; the pool has cleared reward and flags."""
+    action, observation, seed, reward, command, terminated, truncated = arrays
+    for index, order in enumerate(command.tolist()):
+        if order == Command.STEP:
+            answer = envs[index].step(action[index])
+            observation[index], reward[index], terminated[index], truncated[index], _ = answer
+        elif order == Command.RESET:
+            _forget(envs[index])
+            observation[index], _ = envs[index].reset(seed=int(seed[index]))
+
+
+def _forget(env: Any) -> None:
+    """Gives a Box2D environment a new world, as `gymnasium.make` would.
+
+    `reset` destroys the bodies but keeps the world, which orders new contacts by what it held
+    before; so the solver rounds differently, and the same seed and actions give another episode
+    after other episodes. The bodies are built anew at each reset anyway: this costs nothing.
+    """
+    env = env.unwrapped
+    if hasattr(env, "world") and hasattr(env, "_destroy"):
+        env._destroy()
+        env.world = type(env.world)()
+
+
+def _flat_size(name: str, env: Any) -> int:
+    """Length of the vectors in a space of the environment."""
+    space = getattr(env, f"{name}_space")
+    if type(space).__name__ != "Box" or len(space.shape) != 1:
+        raise ValueError(f"env_id {env.spec.id}: {name}s must be flat vectors, not {space}")
+    return space.shape[0]
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main(sys.argv[1], *map(int, sys.argv[2:]))

@@ -1,0 +1,125 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hitl_jax import agent as agents
+from hitl_jax import batch, replay
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+
+_AGENT = agents.make_agent(AgentConfig(hidden_sizes=(16, 16), batch_size=16, n_step=2))
+_UPDATES = 4
+
+
+def _hyper(index):
+    """Runs of different methods and hyperparameters, as one program takes them."""
+    method = list(Method)[index % 3]
+    hyper = Hyper(actor_learning_rate=1e-3 / (1 + index), gamma=0.9 + 0.01 * index)
+    return jax.tree.map(np.asarray, hyper_for(method, hyper))
+
+
+def _frames(runs, first=0):
+    layout = _AGENT.layout
+    frames = np.zeros((len(runs), 32, layout.width), np.float32)
+    for row, run in enumerate(runs):
+        rng = np.random.default_rng((run, first))
+        frames[row] = rng.normal(size=frames.shape[1:])
+        frames[row, :, layout.terminated : layout.final + 1] = 0
+    return frames
+
+
+def _learn(runs, tile, mesh=None, skip=()):
+    """Training states of runs (any order, any number) after two calls of the learner."""
+    mesh = mesh or batch.make_mesh()
+    seats = batch.empty_seats(_AGENT, len(runs), 64, mesh, _hyper(0))
+    programs = batch.make_programs(_AGENT, mesh, _UPDATES, tile)
+    for slot, run in enumerate(runs):
+        seats = programs.seat(seats, slot, _hyper(run), jax.random.key(run))
+    share = len(runs) // mesh.size
+    slots, count = np.zeros(len(runs), np.int32), np.zeros(mesh.size, np.int32)
+    for slot, run in enumerate(runs):
+        if run not in skip:
+            device, column = divmod(slot, share)
+            slots[device * share + count[device]] = column
+            count[device] += 1
+    for call in range(2):
+        seats, behavior = programs.learn(seats, _frames(runs, call), slots, count)
+    train = jax.device_get(seats.train.learner)
+    for leaf, match in zip(
+        jax.tree.leaves(behavior.actor), jax.tree.leaves(train.actor), strict=True
+    ):
+        np.testing.assert_array_equal(leaf, match)
+    return {run: jax.tree.map(lambda leaf, s=slot: leaf[s], train) for slot, run in enumerate(runs)}
+
+
+def _same(one, other):
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=2e-4, atol=1e-6), one, other)
+
+
+@pytest.fixture(scope="module")
+def plainly():
+    """The same learning without vmap, mesh or loop: one run after the other."""
+    learn = jax.jit(
+        lambda state, memory, hyper: agents.learn(
+            _AGENT, hyper, state, memory, jnp.int32(0), _UPDATES
+        )
+    )
+    after = {}
+    for run in range(6):
+        memory = replay.init(64, 1, _AGENT.layout)
+        state = agents.init(_AGENT, jax.random.key(run))
+        for call in range(2):
+            memory = replay.add(memory, jnp.asarray(_frames([run], call)))
+            state = learn(state, memory, _hyper(run))
+        after[run] = jax.device_get(state.learner)
+    return after
+
+
+@pytest.mark.parametrize("tile", [1, 2])
+def test_a_run_in_the_batch_equals_the_run_alone(plainly, tile):
+    for run, learner in _learn(list(range(6)), tile).items():
+        _same(learner, plainly[run])
+
+
+def test_order_and_devices_do_not_matter(plainly):
+    one_device = batch.make_mesh(jax.devices()[:1])
+    for learned in (_learn([3, 0, 5, 1, 4, 2], 3), _learn([2, 4, 1], 2, one_device)):
+        for run, learner in learned.items():
+            _same(learner, plainly[run])
+
+
+def test_a_run_that_is_not_listed_does_not_change(plainly):
+    learned = _learn(list(range(6)), 2, skip=(1, 4))
+    for run in (0, 2, 3, 5):
+        _same(learned[run], plainly[run])
+    for run in (1, 4):
+        fresh = agents.init(_AGENT, jax.random.key(run)).learner
+        _same(learned[run], jax.device_get(fresh))
+
+
+def test_the_ring_is_updated_in_place():
+    mesh = batch.make_mesh()
+    seats = batch.empty_seats(_AGENT, 4, 64, mesh, _hyper(0))
+    programs = batch.make_programs(_AGENT, mesh, _UPDATES, 2)
+    slots, count = np.zeros(4, np.int32), np.zeros(mesh.size, np.int32)
+    frames = _frames(range(4))
+    seats, _ = programs.learn(seats, frames, slots, count)
+
+    def pointers():
+        shards = seats.memory.frames.addressable_shards
+        return [shard.data.unsafe_buffer_pointer() for shard in shards]
+
+    before = pointers()
+    seats, _ = programs.learn(seats, frames, slots, count)
+    assert pointers() == before
+
+
+def test_runs_must_divide_over_the_devices():
+    with pytest.raises(ValueError, match="3 runs do not divide over 2 devices"):
+        batch.empty_seats(_AGENT, 3, 64, batch.make_mesh(), _hyper(0))
+
+
+def test_keys_come_from_method_and_seed():
+    keys = [batch.run_keys(seed, method) for seed in range(3) for method in range(3)]
+    data = {tuple(jax.random.key_data(key).tolist()) for three in keys for key in three}
+    assert len(data) == 27

@@ -1,0 +1,66 @@
+import dataclasses
+import re
+
+import pytest
+
+from hitl_jax.config import AgentConfig, Hyper, Method, RunHyper, hyper_for, validate_hyper
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"learner": "sac"}, "--learner sac: must be one of ddpg, td3"),
+        ({"boundary_source": "oracle"}, "--boundary-source oracle: must be one of network"),
+        ({"intervention": "shout"}, "--intervention shout: must be one of reset"),
+        ({"feedback_schedule": "year"}, "--feedback-schedule year: must be one of step"),
+        ({"indicator": "mood"}, "--indicator mood: must be one of hull_angle"),
+        ({"danger": "none"}, "--danger none: must be one of threshold"),
+        ({"hidden_sizes": ()}, "--hidden-sizes (): at least one layer"),
+        ({"hidden_sizes": (0,)}, "--hidden-sizes (0,): at least one layer"),
+        ({"n_step": 0}, "--n-step 0: must be at least 1"),
+    ],
+)
+def test_bad_choices_are_named(change, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        AgentConfig(**change)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"delta_minus": -0.001}, "--delta-minus -0.001: must be at least 0"),
+        ({"gamma": 1.5}, "--gamma 1.5: must be at least 0 and at most 1"),
+        ({"gamma": float("nan")}, "--gamma nan: must be a finite number"),
+        ({"initial_boundary": 9.0}, "--initial-boundary 9.0: must be at least 0.05 and at most"),
+        ({"boundary_high": 0.01}, "--boundary-high 0.01: must be at least 0.05"),
+        ({"takeover_steps": 0}, "--takeover-steps 0: must be at least 1"),
+        ({"feedback": float("inf")}, "--feedback inf: must be a finite number"),
+    ],
+)
+def test_bad_numbers_are_named(change, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        validate_hyper(dataclasses.replace(Hyper(), **change))
+
+
+def test_the_defaults_are_valid():
+    validate_hyper(Hyper())
+
+
+def test_methods_share_everything_but_their_flags():
+    made = {method: dataclasses.asdict(hyper_for(method, Hyper(gamma=0.9))) for method in Method}
+    flags = {field.name for field in dataclasses.fields(RunHyper)} - {
+        field.name for field in dataclasses.fields(Hyper)
+    }
+    for method, values in made.items():
+        assert values["gamma"] == 0.9
+        different = {name for name in values if values[name] != made[Method.HITL_AC][name]}
+        assert different <= flags, method
+    assert made[Method.SRL]["has_arbiter"] == 0.0
+    assert made[Method.HITL_FIX]["has_arbiter"] == 1.0
+    assert made[Method.HITL_FIX]["learns_boundary"] == 0.0
+
+
+def test_learners_are_switches():
+    td3, ddpg = AgentConfig(learner="td3"), AgentConfig(learner="ddpg")
+    assert (td3.num_critics, td3.policy_delay, td3.smooths_target) == (2, 2, True)
+    assert (ddpg.num_critics, ddpg.policy_delay, ddpg.smooths_target) == (1, 1, False)

@@ -1,0 +1,513 @@
+"""The pools against a plain gymnasium loop, against each other, and when things go wrong.
+
+The workers import this file for its toy environments, by gymnasium's `module:id` names.
+"""
+
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+import time
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+
+from hitl_jax.envs import BACKENDS, Command, StepBatch, WalkerError, make_pool
+from hitl_jax.envs.gymnasium_pool import GymnasiumPool
+
+IDLE, STEP, RESET = Command
+TOY = "test_envs:Toy-v0"
+GOAL = 5  # step at which the toy terminates
+RAISE, DIE = 7.0, 8.0  # actions that break the toy
+
+gymnasium.register("Toy-v0", "test_envs:Toy", max_episode_steps=GOAL)
+gymnasium.register("ShortToy-v0", "test_envs:Toy", max_episode_steps=3)
+gymnasium.register("DiscreteToy-v0", "test_envs:DiscreteToy")
+gymnasium.register(
+    "ShortWalker-v0", "gymnasium.envs.box2d.bipedal_walker:BipedalWalker", max_episode_steps=12
+)
+
+needs_envpool = pytest.mark.skipif(
+    importlib.util.find_spec("envpool") is None, reason="needs the extra `fast`"
+)
+
+
+class Toy(gymnasium.Env):
+    """Counts its steps: observation (seed, steps, action[0])."""
+
+    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (3,), np.float32)
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+    def __init__(self):
+        assert "jax" not in sys.modules  # A worker would spend a second and 200 MB on it.
+        print("said on stdout, which nobody should see")
+
+    def reset(self, *, seed=None, options=None):
+        self.seed, self.steps = seed, 0
+        return self.observe(0.0), {}
+
+    def step(self, action):
+        if action[0] == RAISE:
+            raise ArithmeticError("the toy broke")
+        if action[0] == DIE:
+            os.kill(os.getpid(), signal.SIGKILL)
+        self.steps += 1
+        return self.observe(action[0]), float(action[1]), self.steps == GOAL, False, {}
+
+    def observe(self, action):
+        return np.array([self.seed, self.steps, action], np.float32)
+
+
+class DiscreteToy(Toy):
+    action_space = gymnasium.spaces.Discrete(2)
+
+
+def make_plain(env_id: str) -> gymnasium.Env:
+    """A plain environment; Box2D's import gives a warning which, made an error, ends Python."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return gymnasium.make(env_id)
+
+
+def tick(pool, command, action=0.0, seed=0) -> StepBatch:
+    """One tick, with scalars for all walkers allowed."""
+    num = pool.num_walkers
+    return pool.step(
+        np.broadcast_to(command, num),
+        np.broadcast_to(action, (num, pool.action_size)),
+        np.broadcast_to(seed, num),
+    )
+
+
+def same(left: StepBatch, right: StepBatch) -> None:
+    for name, a, b in zip(StepBatch._fields, left, right, strict=True):
+        np.testing.assert_array_equal(a, b, err_msg=name)
+
+
+class PlainLoop:
+    """What a pool should do, said plainly: a new environment for each episode."""
+
+    def __init__(self, env_id: str, num_walkers: int):
+        self.env_id = env_id
+        self.envs = [None] * num_walkers
+        self.observations = [np.zeros(24, np.float32)] * num_walkers
+
+    def step(self, command, action, seed) -> StepBatch:
+        rows = []
+        for i, order in enumerate(command):
+            row = (0.0, False, False)
+            if order == RESET:
+                self.envs[i] = make_plain(self.env_id)
+                self.observations[i], _ = self.envs[i].reset(seed=int(seed[i]))
+            elif order == STEP:
+                self.observations[i], *row, _ = self.envs[i].step(action[i])
+            rows.append((self.observations[i], *row))
+        observation, *scalars = map(np.array, zip(*rows, strict=True))
+        return StepBatch(observation, scalars[0].astype(np.float32), *scalars[1:])
+
+
+class Script:
+    """Commands of some walkers, by who they are: seeds, actions, idle ticks and human resets."""
+
+    def __init__(self, who: list[int]):
+        self.who = who
+        self.ended = np.ones(len(who), bool)
+        self.episode = np.zeros(len(who), int)
+
+    def next(self, ticks: int):
+        """The arguments of `step` for the tick."""
+        action = [np.random.default_rng((w, ticks)).uniform(-1, 1, 4) for w in self.who]
+        command = np.full(len(self.who), STEP)
+        for i, w in enumerate(self.who):
+            if w == 1 and ticks % 10 == 3:
+                command[i] = IDLE
+            if self.ended[i] or (w == 2 and ticks % 25 == 24):
+                command[i] = RESET
+        self.episode += command == RESET
+        # Walkers 0 and 2 come back to the seeds that they have had.
+        seed = 100 * np.array(self.who) + self.episode % 2
+        return command.astype(np.uint8), np.array(action, np.float32), seed.astype(np.uint32)
+
+    def see(self, command: np.ndarray, batch: StepBatch) -> None:
+        self.ended = np.where(command == IDLE, self.ended, batch.terminated | batch.truncated)
+
+
+def play(pool, who: list[int], ticks: int) -> StepBatch:
+    """Plays a script; arrays [ticks, N, ...]."""
+    script, batches = Script(who), []
+    for number in range(ticks):
+        command, action, seed = script.next(number)
+        batches.append(pool.step(command, action, seed))
+        script.see(command, batches[-1])
+    return StepBatch(*map(np.stack, zip(*batches, strict=True)))
+
+
+# --------------------------------------------------------------------------- the official walker
+
+
+@pytest.fixture(scope="module")
+def plain() -> StepBatch:
+    """300 ticks of walkers 0 to 4 in a plain loop."""
+    return play(PlainLoop("BipedalWalker-v3", 5), [0, 1, 2, 3, 4], 300)
+
+
+def test_is_a_plain_loop_bit_for_bit(plain):
+    assert plain.terminated.sum() >= 3  # The script has falls, human resets and repeated seeds.
+    assert (plain.reward[plain.terminated] == -100).all()
+    with make_pool("gymnasium", 5, 2) as pool:
+        assert (pool.num_walkers, pool.observation_size, pool.action_size) == (5, 24, 4)
+        assert pool.seedable
+        same(play(pool, [0, 1, 2, 3, 4], 300), plain)
+
+
+def test_neither_workers_nor_place_nor_neighbours_matter(plain):
+    with make_pool("gymnasium", 3, 1) as pool:
+        batch = play(pool, [4, 2, 0], 300)
+    same(batch, StepBatch(*(array[:, [4, 2, 0]] for array in plain)))
+
+
+def test_an_episode_does_not_depend_on_those_before():
+    # In one gymnasium environment it does: seed 7 gives another first step the second time.
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (30, 1, 4))
+
+    def episode(pool, seed):
+        batches = [tick(pool, RESET, seed=seed), *(tick(pool, STEP, a) for a in actions)]
+        return StepBatch(*map(np.stack, zip(*batches, strict=True)))
+
+    with make_pool("gymnasium", 1) as pool:
+        first = {seed: episode(pool, seed) for seed in range(6, 12)}
+        for seed in (11, 7, 6, 10, 7, 8, 9):
+            same(episode(pool, seed), first[seed])
+
+
+def test_truncation_keeps_the_true_observation():
+    env = make_plain("test_envs:ShortWalker-v0")
+    env.reset(seed=5)
+    with make_pool("gymnasium", 1, env_id="test_envs:ShortWalker-v0") as pool:
+        tick(pool, RESET, seed=5)
+        for number in range(1, 13):
+            observation, *_ = env.step(np.full(4, 0.5, np.float32))
+            batch = tick(pool, STEP, 0.5)
+            np.testing.assert_array_equal(batch.observation[0], observation)
+            assert (batch.terminated[0], batch.truncated[0]) == (False, number == 12)
+
+
+# ------------------------------------------------------------------------------- the interface
+
+
+@pytest.fixture(scope="module")
+def toys():
+    with make_pool("gymnasium", 5, 2, TOY) as pool:
+        yield pool
+
+
+def test_commands_and_flags(toys):
+    """Walker 0 always steps, 1 idles once, 2 is reset by a human, 3 and 4 stay out of it."""
+    start = tick(toys, [RESET, RESET, RESET, IDLE, IDLE], 0.9, [10, 11, 2**32 - 1, 13, 14])
+    assert [array.dtype for array in start] == [np.float32, np.float32, bool, bool]
+    assert not start.reward.any()
+    np.testing.assert_array_equal(
+        start.observation[:3], np.float32([[10, 0, 0], [11, 0, 0], [2**32 - 1, 0, 0]])
+    )
+    tick(toys, [STEP, STEP, STEP, IDLE, IDLE], 0.25)
+    batch = tick(toys, [STEP, IDLE, RESET, IDLE, IDLE], 0.5, 22)
+    np.testing.assert_array_equal(
+        batch.observation[:3], np.float32([[10, 2, 0.5], [11, 1, 0.25], [22, 0, 0]])
+    )
+    np.testing.assert_array_equal(batch.reward, np.float32([0.5, 0, 0, 0, 0]))
+    assert not batch.terminated.any()
+    for _ in range(GOAL - 2):
+        batch = tick(toys, [STEP, STEP, STEP, IDLE, IDLE], -1.0)
+    # Walker 0 reaches the goal and the time limit in one step: both are told.
+    assert (batch.terminated[0], batch.truncated[0], batch.observation[0, 1]) == (True, True, GOAL)
+    np.testing.assert_array_equal(batch.observation[1:3], np.float32([[11, 4, -1], [22, 3, -1]]))
+    assert not (batch.terminated | batch.truncated)[1:].any()
+    # No reset by itself: the final observation stays, the flags and the reward do not.
+    batch = tick(toys, [IDLE, STEP, STEP, IDLE, IDLE])
+    assert (batch.observation[0, 1], batch.reward[0], batch.terminated[0]) == (GOAL, 0, False)
+    with pytest.raises(ValueError, match=r"STEP of walker 0: not in an episode, RESET it first"):
+        tick(toys, [STEP, STEP, STEP, IDLE, IDLE])
+
+
+def test_truncated_alone():
+    with make_pool("gymnasium", 1, env_id="test_envs:ShortToy-v0") as pool:
+        tick(pool, RESET)
+        flags = [tick(pool, STEP)[2:] for _ in range(3)]
+    assert flags == [(False, False), (False, False), (False, True)]
+
+
+def test_the_arrays_are_the_callers(toys):
+    first = tick(toys, RESET, seed=1)
+    command, action = np.full(5, STEP, np.uint8), np.full((5, 2), 0.5, np.float32)
+    toys.send(command, action, np.zeros(5, np.uint32))
+    command[:], action[:] = RESET, RAISE
+    second = toys.recv()
+    np.testing.assert_array_equal(first.observation[:, 1], 0)
+    np.testing.assert_array_equal(second.observation[:, 1], 1)
+    second.observation[:] = np.nan
+    assert np.isfinite(tick(toys, IDLE).observation).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ((np.zeros(4), np.zeros((5, 2)), np.zeros(5)), r"command has shape \(4,\): must be \(5,\)"),
+        ((np.zeros(5), np.zeros((5, 4)), np.zeros(5)), r"action has shape \(5, 4\): must be"),
+        ((np.zeros(5), np.zeros((5, 2)), np.zeros(1)), r"seed has shape \(1,\): must be \(5,\)"),
+        ((np.full(5, 3), np.zeros((5, 2)), np.zeros(5)), r"command 3: must be one of \[0, 1, 2\]"),
+        (
+            (np.eye(5)[2], np.full((5, 2), np.nan), np.zeros(5)),
+            "action of walker 2: must be finite",
+        ),
+    ],
+)
+def test_a_tick_that_cannot_be_played(toys, arguments, line):
+    tick(toys, RESET)
+    with pytest.raises(ValueError, match=line):
+        toys.step(*arguments)
+    # It changed nothing, and junk for a walker that does not step is no matter.
+    assert tick(toys, [STEP, *[IDLE] * 4], [[0.0] * 2, *[[np.nan] * 2] * 4]).observation[0, 1] == 1
+
+
+def test_order_of_calls(toys):
+    with pytest.raises(RuntimeError, match="no tick was sent"):
+        toys.recv()
+    toys.send(np.zeros(5), np.zeros((5, 2)), np.zeros(5))
+    with pytest.raises(RuntimeError, match="call recv first"):
+        toys.send(np.zeros(5), np.zeros((5, 2)), np.zeros(5))
+    toys.recv()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (("mujoco", 1), "backend 'mujoco': must be one of gymnasium, envpool"),
+        (("gymnasium", 0), "num_walkers 0: must be a whole number of at least 1"),
+        (("gymnasium", 2.0), "num_walkers 2.0: must be"),
+        (("envpool", 4, -1), "num_workers -1: must be"),
+    ],
+)
+def test_bad_arguments(arguments, line):
+    with pytest.raises(ValueError, match=line):
+        make_pool(*arguments)
+
+
+# -------------------------------------------------------------------------------- the processes
+
+
+def alive(process_id: int) -> bool:
+    """Whether a process still runs; one that waits to be reaped does not."""
+    try:
+        with open(f"/proc/{process_id}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] not in "ZX"
+    except FileNotFoundError:
+        return False
+
+
+def test_more_workers_than_walkers_and_no_orphans():
+    with make_pool("gymnasium", 2, 8, TOY) as pool:
+        workers = pool.process_ids
+        assert len(workers) == 2
+        for worker in workers:
+            os.kill(worker, signal.SIGINT)  # Ctrl-C is not theirs.
+        np.testing.assert_array_equal(tick(pool, RESET, seed=3).observation[:, 0], 3)
+    assert not any(map(alive, workers))
+    pool.close()
+    with pytest.raises(RuntimeError, match="the pool is closed"):
+        tick(pool, IDLE)
+
+
+def test_closes_in_mid_tick():
+    pool = make_pool("gymnasium", 2, 2, TOY)
+    workers = pool.process_ids
+    pool.send(np.full(2, RESET), np.zeros((2, 2)), np.zeros(2))
+    pool.close()
+    assert not any(map(alive, workers))
+
+
+@pytest.mark.parametrize(
+    ("action", "line"),
+    [
+        (RAISE, "exited with 1: ArithmeticError: the toy broke"),
+        (DIE, "was killed by SIGKILL"),
+        (None, "was killed by SIGKILL"),
+    ],
+    ids=["raises", "dies in a tick", "dies between ticks"],
+)
+def test_a_broken_worker_is_told(action, line, capfd):
+    with make_pool("gymnasium", 3, 2, TOY) as pool:
+        workers = pool.process_ids
+        tick(pool, RESET)
+        if action is None:
+            os.kill(workers[1], signal.SIGKILL)
+            time.sleep(0.1)
+        start = time.monotonic()
+        pool.send(np.full(3, STEP), np.array([[0, 0], [action or 0, 0], [0, 0]]), np.zeros(3))
+        with pytest.raises(WalkerError) as caught:
+            pool.recv()
+        assert str(caught.value) == f"walker process 2 of 2 {line}"
+        assert time.monotonic() - start < 3
+        if action == RAISE:
+            assert "in step" in caught.value.__notes__[0]  # the worker's traceback
+        assert not any(map(alive, workers))
+    assert capfd.readouterr() == ("", "")  # Nothing of the workers' own reaches the terminal.
+
+
+def test_a_worker_that_does_not_come_up():
+    with pytest.raises(WalkerError, match=r"exited with 1: .*Environment `Nope` doesn't exist"):
+        make_pool("gymnasium", 2, 2, "Nope-v3")
+    with pytest.raises(WalkerError, match="DiscreteToy-v0: actions must be flat vectors, not Disc"):
+        make_pool("gymnasium", 1, 1, "test_envs:DiscreteToy-v0")
+    with pytest.raises(WalkerError, match="2 of 2 walker processes did not come up in time"):
+        GymnasiumPool(TOY, 2, 2, start_seconds=0.001)
+
+
+def test_a_killed_pool_leaves_no_orphans():
+    program = (
+        "import os, signal, numpy as np; from hitl_jax.envs import make_pool\n"
+        f"pool = make_pool('gymnasium', 2, 2, {TOY!r})\n"
+        "print(*pool.process_ids, flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    answer = subprocess.run(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, env=environment
+    )
+    workers = [int(word) for word in answer.stdout.split()]
+    assert (answer.returncode, len(workers)) == (-signal.SIGKILL, 2)
+    deadline = time.monotonic() + 5
+    while any(map(alive, workers)):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_imports_are_lazy():
+    program = (
+        "import sys, hitl_jax.envs, hitl_jax.envs.worker\n"
+        "heavy = {'jax', 'flax', 'gymnasium', 'envpool', 'Box2D', 'pygame'} & sys.modules.keys()\n"
+        "assert not heavy, heavy\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    subprocess.run([sys.executable, "-c", program], check=True, env=environment)
+
+
+# --------------------------------------------------------------------------------------- EnvPool
+
+
+def raw_envpool(num_walkers: int, seed: int):
+    import envpool
+
+    return envpool.make_gymnasium(
+        "BipedalWalker-v3", num_envs=num_walkers, num_threads=1, seed=seed, max_episode_steps=10**6
+    )
+
+
+def test_envpool_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "envpool", None)
+    with pytest.raises(ImportError, match=r'envpool.*pip install -e "\.\[fast\]"$') as caught:
+        make_pool("envpool", 1)
+    assert "\n" not in str(caught.value)
+
+
+@needs_envpool
+def test_envpool_is_raw_envpool_until_a_human_resets():
+    """Random play; an ended walker is RESET in the tick in which raw EnvPool resets it itself."""
+    rng = np.random.default_rng(0)
+    raw = raw_envpool(4, seed=9)
+    observation, _ = raw.reset()
+    with make_pool("envpool", 4, 2, seed=9) as pool:
+        assert (pool.num_walkers, pool.observation_size, pool.action_size) == (4, 24, 4)
+        assert not pool.seedable
+        batch = tick(pool, RESET)
+        np.testing.assert_array_equal(batch.observation, observation)
+        ended, falls = np.zeros(4, bool), 0
+        for _ in range(200):
+            action = rng.uniform(-1, 1, (4, 4)).astype(np.float32)
+            batch = tick(pool, np.where(ended, RESET, STEP), action)
+            same(batch, StepBatch(*raw.step(action)[:4]))
+            ended = batch.terminated
+            falls += ended.sum()
+    assert falls >= 3
+
+
+@needs_envpool
+def test_envpool_human_reset_and_idle_touch_nobody_else():
+    """Walker 0 plays on, as in raw EnvPool; 1 is reset at tick 20; 2 idles from tick 10 to 29."""
+    action = np.full((3, 4), 0.2, np.float32)
+    raw = raw_envpool(3, seed=2)
+    raw.reset()
+    truth = [raw.step(action) for _ in range(40)]
+    with make_pool("envpool", 3, 1, seed=2) as pool:
+        start = tick(pool, RESET)
+        for number in range(40):
+            idle = 10 <= number < 30
+            command = [STEP, RESET if number == 20 else STEP, IDLE if idle else STEP]
+            batch = tick(pool, command, action)
+            seen = [number, number if number < 20 else None, min(number, 9) if idle else number]
+            seen[2] = number - 20 if number >= 30 else seen[2]
+            for walker, when in enumerate(seen):
+                if when is not None:
+                    np.testing.assert_array_equal(batch.observation[walker], truth[when][0][walker])
+            if idle:
+                assert not batch.reward[2]
+                assert not batch.terminated[2]
+            if number == 20:
+                # Standing still in a new episode; another episode than the first.
+                assert (batch.reward[1], batch.terminated[1], batch.truncated[1]) == (0, 0, 0)
+                assert np.abs(batch.observation[1] - start.observation[1]).max() < 0.1
+                assert not np.array_equal(batch.observation[1], start.observation[1])
+            elif number == 21:
+                assert batch.reward[1] != 0
+
+
+@needs_envpool
+def test_envpool_time_limit():
+    """A limit at walker 0's fall: both flags for it, truncated alone for the others."""
+    from hitl_jax.envs.envpool_pool import EnvpoolPool
+
+    action = np.zeros((3, 4), np.float32)
+    action[0] = (1, -1, 1, -1)
+    raw = raw_envpool(3, seed=0)
+    raw.reset()
+    steps = 1
+    while not (answer := raw.step(action))[2][0]:
+        steps += 1
+    assert not answer[2][1:].any()  # The others stand.
+    with EnvpoolPool("BipedalWalker-v3", 3, 1, max_episode_steps=steps) as pool:
+        tick(pool, RESET)
+        for number in range(1, steps + 1):
+            batch = tick(pool, STEP, action)
+            assert batch.truncated.tolist() == [number == steps] * 3
+        same(batch, StepBatch(*answer[:3], np.ones(3, bool)))
+        assert batch.terminated.tolist() == [True, False, False]
+        # A new episode, of `steps` steps again, whichever way the last one ended.
+        final = batch.observation
+        batch = tick(pool, RESET, action)
+        assert not batch.reward.any()
+        assert (np.abs(batch.observation - final).max(axis=1) > 0.01).all()
+        action[0] = 0
+        for number in range(1, steps + 1):
+            batch = tick(pool, STEP, action)
+            assert batch.truncated.tolist() == [number == steps] * 3
+        assert not batch.terminated.any()
+
+
+@needs_envpool
+def test_envpool_bad_arguments():
+    with pytest.raises(ValueError, match="env_id 'Nope-v3': must be one of envpool"):
+        make_pool("envpool", 1, env_id="Nope-v3")
+    with pytest.raises(ValueError, match="seed -1: must be in"):
+        make_pool("envpool", 1, seed=-1)
+    with (
+        make_pool("envpool", 1) as pool,
+        pytest.raises(ValueError, match="STEP of walker 0: not in an episode"),
+    ):
+        tick(pool, STEP)
+
+
+def test_backends():
+    assert BACKENDS == ("gymnasium", "envpool")

@@ -1,0 +1,59 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hitl_jax import networks
+
+_KEY = jax.random.key(0)
+
+
+def test_actor_is_bounded():
+    actor = networks.Actor((16, 16), 4)
+    observation = 100.0 * jax.random.normal(_KEY, (8, 24))
+    action = actor.apply(actor.init(_KEY, observation), observation)
+    assert action.shape == (8, 4)
+    assert (jnp.abs(action) <= 1).all()
+
+
+def test_each_stacked_critic_equals_its_own_network():
+    critics = networks.Critics((16, 8), 2)
+    observation, action = jax.random.normal(_KEY, (5, 3)), jnp.ones((5, 2))
+    params = critics.init(_KEY, observation, action)
+    together = critics.apply(params, observation, action)
+    assert together.shape == (2, 5)
+    assert not np.allclose(together[0], together[1])
+    for member in range(2):
+        alone = jax.tree.map(lambda leaf, m=member: leaf[m : m + 1], params)
+        single = networks.Critics((16, 8), 1).apply(alone, observation, action)
+        np.testing.assert_allclose(single[0], together[member], rtol=1e-5, atol=1e-6)
+
+
+def test_stacked_initialisation_has_the_scale_of_one_layer():
+    params = networks.Critics((64,), 2).init(_KEY, jnp.zeros((1, 90)), jnp.zeros((1, 10)))
+    kernel = params["params"]["_StackedDense_0"]["kernel"]
+    # Uniform in ±1/sqrt(100): standard deviation 0.1/sqrt(3) = 0.0577.
+    np.testing.assert_allclose(kernel.std(), 0.0577, atol=0.002)
+    assert jnp.abs(kernel).max() <= 0.1
+
+
+@pytest.mark.parametrize("initial", [0.06, 0.7, 1.4])
+def test_boundary_actor_starts_at_tau_0_and_stays_in_range(initial):
+    actor = networks.BoundaryActor((8,))
+    observation = jax.random.normal(_KEY, (7, 24))
+    args = (jnp.array(initial), jnp.array(0.05), jnp.array(1.5))
+    params = actor.init(_KEY, observation, *args)
+    np.testing.assert_allclose(actor.apply(params, observation, *args), initial, rtol=1e-3)
+    wild = jax.tree.map(lambda leaf: leaf + 50.0, params)
+    out = actor.apply(wild, observation, *args)
+    assert (out >= 0.05).all()
+    assert (out <= 1.5).all()
+
+
+def test_boundary_critic_depends_on_the_boundary():
+    critic = networks.BoundaryCritic((8,))
+    observation = jax.random.normal(_KEY, (7, 24))
+    params = critic.init(_KEY, observation, jnp.zeros(7))
+    low, high = (critic.apply(params, observation, jnp.full(7, tau)) for tau in (0.1, 1.0))
+    assert low.shape == (7,)
+    assert not np.allclose(low, high)

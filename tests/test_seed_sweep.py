@@ -1,0 +1,161 @@
+"""The main job end to end, on real walkers, and what it says to careless users."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from experiments.options import SweepOptions, run_main
+from experiments.seed_sweep import main
+from hitl_jax.results import ResultsFolder, RunKey
+
+_SMALL = [
+    *("--seeds", "1", "--episodes", "3", "--test-episodes", "2", "--warmup-steps", "100"),
+    *("--hidden-sizes", "16", "--batch-size", "16", "--capacity", "2000"),
+]
+
+
+def _run(out, *options):
+    return run_main(SweepOptions, main, [*_SMALL, *options, "--out", str(out)])
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    out = tmp_path_factory.mktemp("sweep") / "results"
+    assert _run(out) == 0
+    return out
+
+
+def test_everything_is_written(swept):
+    folder = ResultsFolder(swept)
+    runs = {run.key.method: run for run in folder.load_all()}
+    assert list(runs) == ["srl", "hitl-fix", "hitl-ac"]
+    for method, run in runs.items():
+        assert len(run.episodes["return"]) == 3
+        assert run.info["env_steps"] == run.episodes["length"].sum()
+        modes = run.tests["mode"].tolist()
+        assert modes == ["autonomous"] * 2 + ["assisted"] * (0 if method == "srl" else 2)
+        assert {"versions", "commit", "config", "wall_seconds"} <= run.info.keys()
+        assert np.isnan(run.episodes["mean_boundary"]).all() == (method == "srl")
+        params = folder.load_params(run.key)
+        assert params["actor/params/Dense_0/kernel"].shape == (24, 16)
+    assert runs["hitl-fix"].episodes["mean_boundary"] == pytest.approx(0.7)
+    names = {path.name for path in swept.glob("figures/*")}
+    assert {"figure4_training.png", "figure5_test.svg", "figure6_boundary.png"} <= names
+    assert (swept / "summary.md").exists()
+    assert (swept / "summary.csv").exists()
+    assert not list(swept.glob("partial/*.csv"))
+
+
+def test_a_second_start_skips_what_is_done_and_adds_seeds(swept, capsys):
+    before = (swept / "runs/srl/seed-0000/run.json").stat().st_mtime_ns
+    assert _run(swept, "--methods", "srl", "--first-seed", "1") == 0
+    assert "finished srl seed 1" in capsys.readouterr().out
+    assert RunKey("srl", 1) in ResultsFolder(swept).finished()
+    assert (swept / "runs/srl/seed-0000/run.json").stat().st_mtime_ns == before
+    start = time.monotonic()
+    assert _run(swept) == 0
+    assert time.monotonic() - start < 20
+    assert "finished" not in capsys.readouterr().out
+
+
+def test_a_run_does_not_depend_on_workers_and_company(swept, tmp_path):
+    assert _run(tmp_path / "alone", "--methods", "hitl-fix", "--workers", "1") == 0
+    key = RunKey("hitl-fix", 0)
+    one, other = (ResultsFolder(path).load_run(key) for path in (swept, tmp_path / "alone"))
+    assert one.episodes["end"].tolist() == other.episodes["end"].tolist()
+    for name in ("length", "return", "interventions"):
+        assert one.episodes[name].tolist() == pytest.approx(other.episodes[name].tolist(), rel=1e-4)
+    assert one.tests["return"].tolist() == pytest.approx(other.tests["return"].tolist(), rel=1e-3)
+
+
+def test_another_configuration_is_refused_with_the_difference(swept, capsys):
+    assert _run(swept, "--gamma", "0.9") == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: --out ")
+    assert "hyper.gamma: folder has 0.98, asked for 0.9" in said
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--methods", "ppo"], "--methods ppo: must be some of srl, hitl-fix, hitl-ac"),
+        (["--methods"], "--methods (none): must be some of"),
+        (["--methods", "srl", "srl"], "--methods srl srl: each at most once"),
+        (["--seeds", "0"], "--seeds 0: must be at least 1"),
+        (["--seeds", "many"], "--seeds"),
+        (["--episodes", "-3"], "--episodes -3: must be at least 1"),
+        (["--delta-minus", "-1"], "--delta-minus -1.0: must be at least 0"),
+        (["--human.delay", "99"], "--human.delay 99: must be from 0 to 32"),
+        (["--preset", "huge"], "--preset huge: must be one of full, quick"),
+        (["--backend", "mujoco"], "--backend mujoco: must be one of gymnasium, envpool"),
+        (["--learner", "sac"], "--learner sac: must be one of ddpg, td3"),
+        (["--updates-per-step", "0.3"], "--updates-per-step 0.3"),
+        (["--human-policy", "pyproject.toml"], "is no checkpoint that can be read"),
+        (["--human-policy", "missing.npz"], "is no checkpoint that can be read"),
+        (["--frobnicate"], "--frobnicate"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(options, message, tmp_path, capsys):
+    assert _run(tmp_path / "out", *options) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("error: ")
+    assert said.err.count("\n") == 1
+    assert message in said.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_cannot_be_written(tmp_path, capsys):
+    file = tmp_path / "file"
+    file.write_text("mine")
+    assert _run(file) == 2
+    assert _run("/proc/nowhere") == 2
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "thesis.tex").write_text("mine")
+    assert _run(foreign) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 3
+    assert all(line.startswith("error: --out ") for line in lines)
+    assert file.read_text() == "mine"
+
+
+def test_a_missing_extra_is_named(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "envpool", None)
+    assert _run(tmp_path / "out", "--backend", "envpool") == 2
+    assert ".[fast]" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_ctrl_c_draws_what_there_is_and_says_how_to_go_on(tmp_path):
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "experiments.seed_sweep", *_SMALL, "--episodes", "100000"]
+    sweep = subprocess.Popen(
+        [*command, "--methods", "srl", "--out", str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+    try:
+        assert sweep.stdout is not None
+        line = sweep.stdout.readline()
+        while "steps/s" not in line:
+            assert line, sweep.communicate()[1]
+            line = sweep.stdout.readline()
+        os.killpg(sweep.pid, signal.SIGINT)
+        said, errors = sweep.communicate(timeout=60)
+    finally:
+        sweep.kill()
+    assert sweep.returncode == 130, errors
+    assert "The same command goes on" in said
+    assert "Traceback" not in errors
+    assert (out / "figures" / "figure4_training.png").exists()
+    assert json.loads((out / "config.json").read_text())["config"]["episodes"] == 100000
