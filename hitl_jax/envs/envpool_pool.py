@@ -13,10 +13,10 @@ class EnvpoolPool(CheckedPool):
     Not the same numbers as gymnasium: Box2D is 2.4 (gymnasium has 2.3), and terrain is seeded once,
     when the pool is made, so a RESET's seed is not read and an episode cannot be repeated.
 
-    EnvPool's own ways, hidden here. The call after an episode's end resets the walker and ignores
-    the action: it is never made, a RESET is a reset of just the walkers that it names. A fall in
-    the step that reaches the time limit is told as truncated only: EnvPool is given no limit, and
-    the limit is kept here, with gymnasium's meaning.
+    EnvPool's own ways, hidden here. The call after a termination resets the walker and ignores the
+    action: that call is our RESET, so that it runs beside the others' steps; other walkers are reset
+    one by one. A fall in the step that reaches the time limit is told as truncated only: EnvPool is
+    given no limit, and the limit is kept here, with gymnasium's meaning.
     """
 
     seedable = False
@@ -64,34 +64,40 @@ class EnvpoolPool(CheckedPool):
         (action_size,) = self._envs.action_space.shape
         super().__init__(num_walkers, observation_size, action_size)
         self._observation = np.zeros((num_walkers, observation_size), np.float32)
+        # Walkers that EnvPool resets at their next call, the terminated ones.
+        self._over = np.zeros(num_walkers, bool)
+        self._called = False
 
     def _start(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> None:
-        stepped = _walkers(command, Command.STEP)
-        if stepped.size:
-            self._envs.send(action[stepped], stepped)
+        again = self._over & (command == Command.RESET)
+        called = np.flatnonzero((command == Command.STEP) | again).astype(np.int32)
+        self._called = bool(called.size)
+        if called.size:
+            self._envs.send(action[called], called)
 
     def _finish(self, command: np.ndarray) -> StepBatch:
         reward = np.zeros(self.num_walkers, np.float32)
         terminated = np.zeros(self.num_walkers, bool)
         truncated = np.zeros(self.num_walkers, bool)
-        if (command == Command.STEP).any():
+        resets = command == Command.RESET
+        if self._called:
             observation, rewards, ended, _, info = self._envs.recv()
             order = info["env_id"]
             self._observation[order] = observation
             reward[order] = rewards
             terminated[order] = ended
             truncated[order] = info["elapsed_step"] >= self._limit
+            reward[resets] = 0.0  # What EnvPool tells of a call that resets is of no step.
+            terminated[resets] = truncated[resets] = False
         # Not while the others step: EnvPool would mix up the answers of two calls under way.
-        reset = _walkers(command, Command.RESET)
-        if reset.size:
-            observation, info = self._envs.reset(reset)
+        forced = np.flatnonzero(resets & ~self._over).astype(np.int32)
+        if forced.size:
+            observation, info = self._envs.reset(forced)
             self._observation[info["env_id"]] = observation
+        self._over[resets] = False
+        self._over |= terminated
         return StepBatch(self._observation.copy(), reward, terminated, truncated)
 
     def _shutdown(self) -> None:
         self._envs.close()
 
-
-def _walkers(command: np.ndarray, order: Command) -> np.ndarray:
-    """Walkers with this command, as EnvPool wants them, int32."""
-    return np.flatnonzero(command == order).astype(np.int32)

@@ -1,0 +1,55 @@
+import jax
+import numpy as np
+import pytest
+from toy import ToyPool
+
+from hitl_jax import agent as agents
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.evaluation import Evaluator
+
+_SEEDS = np.arange(5, dtype=np.uint32)
+
+
+def _evaluate(mode, method=Method.HITL_AC, boundary=0.4, seeds=_SEEDS, config=None, **changes):
+    config = config or AgentConfig(hidden_sizes=(16,))
+    agent = agents.make_agent(config)
+    params = agents.behavior(agents.init(agent, jax.random.key(0)))
+    hyper = hyper_for(method, Hyper(takeover_steps=3, delta_minus=0.1, **changes))
+    evaluator = Evaluator(agent, ToyPool(len(seeds)))
+    return evaluator.evaluate(mode, hyper, params, np.float32(boundary), jax.random.key(1), seeds)
+
+
+def test_autonomous_records_alarms_and_nobody_acts():
+    rows = _evaluate("autonomous")
+    assert [row["episode"] for row in rows] == [1, 2, 3, 4, 5]
+    assert {row["mode"] for row in rows} == {"autonomous"}
+    assert sum(row["alarms"] for row in rows) > 0
+    assert all(row["interventions"] == row["human_steps"] == 0 for row in rows)
+    # Frozen: Δ⁻ = 0.1 would have moved the boundary at the first true alarm.
+    np.testing.assert_allclose([row["mean_boundary"] for row in rows], 0.4, rtol=1e-5)
+
+
+def test_assisted_takes_over_whatever_training_did():
+    rows = _evaluate("assisted", config=AgentConfig(hidden_sizes=(16,), intervention="reset"))
+    assert sum(row["interventions"] for row in rows) > 0
+    assert sum(row["human_steps"] for row in rows) >= sum(row["interventions"] for row in rows)
+    assert all(row["end"] != "human-reset" for row in rows)
+
+
+def test_there_is_no_noise():
+    loud = _evaluate("autonomous", exploration_noise=0.9, warmup_steps=10_000)
+    quiet = _evaluate("autonomous", exploration_noise=0.0, warmup_steps=0)
+    assert [row["return"] for row in loud] == [row["return"] for row in quiet]
+
+
+def test_an_episode_does_not_depend_on_its_place():
+    # The toy walkers differ by their seeds alone, and nothing is random in a test.
+    forward, backward = _evaluate("autonomous"), _evaluate("autonomous", seeds=_SEEDS[::-1])
+    assert [row["return"] for row in forward] == pytest.approx(
+        [row["return"] for row in backward][::-1], rel=1e-5
+    )
+
+
+def test_without_an_arbiter_there_is_no_boundary():
+    rows = _evaluate("autonomous", method=Method.SRL)
+    assert all(np.isnan(row["mean_boundary"]) and row["alarms"] == 0 for row in rows)
