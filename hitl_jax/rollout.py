@@ -192,8 +192,8 @@ class Rollout:
         """Plays chunk after chunk; gives the runs that finished in each."""
         while self._active.any():
             frames = self._play()
-            jax.block_until_ready(self._pending)
-            self._behavior = self._pending
+            # Not before it is needed: putting it on another device waits for the learner.
+            self._behavior = jax.device_put(self._pending, self._acting_device)
             finished = [run for run in self._runs if run is not None and run.done]
             results = [self._collect(run) for run in finished]
             self._learn(frames)
@@ -314,8 +314,7 @@ class Rollout:
                 slots[device * share + count[device]] = column
                 count[device] += 1
                 run.updates += self._num_updates
-        self._seats, behavior = self._programs.learn(self._seats, frames, slots, count)
-        self._pending = jax.device_put(behavior, self._acting_device)
+        self._seats, self._pending = self._programs.learn(self._seats, frames, slots, count)
 
     def _collect(self, run: Run) -> FinishedRun:
         train, acting = (
