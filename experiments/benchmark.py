@@ -26,7 +26,7 @@ from experiments.options import BadInput, run_main
 from hitl_jax import batch
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.envs import Command, make_pool
+from hitl_jax.envs import Command, make_pool, num_cores
 from hitl_jax.provenance import versions
 from hitl_jax.rollout import CPU_TILE, LoopConfig, Rollout, RunSpec
 
@@ -60,11 +60,15 @@ def main(options: BenchmarkOptions) -> int:
     unknown = [part for part in options.only if part not in PARTS]
     if unknown or not options.only:
         raise BadInput(f"--only {' '.join(options.only)}: must be some of {', '.join(PARTS)}")
+    if options.tile < 1:
+        raise BadInput(f"--tile {options.tile}: must be at least 1")
+    if not options.seconds > 0:
+        raise BadInput(f"--seconds {options.seconds}: must be above 0")
     if options.json is not None and not pathlib.Path(options.json).resolve().parent.is_dir():
         raise BadInput(f"--json {options.json}: its folder does not exist")
     use_all_cores()
     console = Console(width=None if sys.stdout.isatty() else 120)
-    report: dict[str, Any] = {"versions": versions(), "cores": len(os.sched_getaffinity(0))}
+    report: dict[str, Any] = {"versions": versions(), "cores": num_cores()}
     for part in options.only:
         rows = PARTS[part](options)
         report[part] = rows
@@ -97,7 +101,7 @@ def update_flops(config: AgentConfig) -> float:
 
 
 def measure_product(seconds: float) -> float:
-    """float32 matrix product over all cores [FLOP/s]: the better of one wide and one per device."""
+    """float32 matrix product over all cores [FLOP/s]."""
     n = PRODUCT_SIZE
     x = jnp.ones((n, n))
     product = jax.jit(lambda a: a @ a)
@@ -108,8 +112,8 @@ def measure_learner(options: BenchmarkOptions) -> list[Row]:
     """Updates/s and GFLOP/s beside the product's rate, and the bars of the two sizes."""
     peak = measure_product(options.seconds)
     rows = [
-        _learner_row(AgentConfig(hidden_sizes=(256, 256), batch_size=256), 12, 0.45, peak, options),
-        _learner_row(AgentConfig(hidden_sizes=(128, 128), batch_size=128), 30, 0.35, peak, options),
+        _learner_row(AgentConfig(hidden_sizes=(256, 256), batch_size=256), 12, 0.45, options),
+        _learner_row(AgentConfig(hidden_sizes=(128, 128), batch_size=128), 30, 0.35, options),
     ]
     # The machine may have been faster or slower meanwhile: the higher figure is the bound.
     peak = max(peak, measure_product(options.seconds))
@@ -119,9 +123,7 @@ def measure_learner(options: BenchmarkOptions) -> list[Row]:
     return rows
 
 
-def _learner_row(
-    config: AgentConfig, runs: int, bar: float, peak: float, options: BenchmarkOptions
-) -> Row:
+def _learner_row(config: AgentConfig, runs: int, bar: float, options: BenchmarkOptions) -> Row:
     agent = make_agent(config)
     mesh = batch.make_mesh()
     runs = runs // mesh.size * mesh.size
@@ -138,12 +140,12 @@ def _learner_row(
     slots = np.tile(np.arange(share, dtype=np.int32), mesh.size)
     nobody, everybody = (np.full(mesh.size, n, np.int32) for n in (0, share))
     for _ in range(capacity // chunk):
-        seats, _ = programs.learn(seats, frames, slots, nobody)
+        seats = programs.learn(seats, frames, slots, nobody)
 
     def learn() -> Any:
         nonlocal seats
-        seats, behavior = programs.learn(seats, frames, slots, everybody)
-        return behavior
+        seats = programs.learn(seats, frames, slots, everybody)
+        return seats.train.learner.actor
 
     took = _best(learn, options.seconds)
     rate = runs * updates / took
@@ -229,7 +231,7 @@ def measure_loop(options: BenchmarkOptions) -> list[Row]:
     jax.monitoring.register_event_duration_secs_listener(
         lambda event, *_, **__: compiled.append(event) if event.endswith(COMPILED) else None
     )
-    slots = len(specs) // jax.device_count() * jax.device_count()
+    slots = len(specs) // batch.make_mesh().size * batch.make_mesh().size
     with make_pool("gymnasium", slots, None) as pool:
         rollout = Rollout(agent, specs, pool, config)
         chunks = iter(rollout)

@@ -124,7 +124,7 @@ class _Sweep:
     def run(self) -> None:
         """Trains, tests and writes every run."""
         options = self._options
-        devices = jax.device_count()
+        devices = batch.make_mesh().size
         slots = math.ceil(min(len(self._specs), options.slots) / devices) * devices
         with (
             make_pool(options.backend, slots, options.workers) as pool,

@@ -67,14 +67,14 @@ class Programs(NamedTuple):
         seat: (seats, slot, hyper, key) to seats with a fresh run in `slot`; donates.
         seat_acting: (acting, slot, hyper, key) to acting with a fresh run in `slot`; donates.
         act: (acting, behavior, observation [R, O], live bool [R]) to (acting, packed [R, W + 6]).
-        learn: (seats, frames [R, U, W], slots int32 [R], count int32 [D]) to (seats, behavior);
-            donates the seats.
+        learn: (seats, frames [R, U, W], slots int32 [R], count int32 [D]) to seats; donates. On
+            each device the first `count` of its `slots` learn, given as columns of that device.
     """
 
     seat: Callable[..., Seats]
     seat_acting: Callable[..., Acting]
     act: Callable[..., tuple[Acting, chex.Array]]
-    learn: Callable[..., tuple[Seats, Behavior]]
+    learn: Callable[..., Seats]
 
 
 def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, chex.PRNGKey]:
@@ -85,9 +85,22 @@ def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, 
 
 
 def make_mesh(devices: list[jax.Device] | None = None) -> Mesh:
-    """A mesh of one axis, `runs`, over the given devices (all, by default)."""
-    devices = devices or jax.devices()
+    """A mesh of one axis, `runs`.
+
+    Args:
+        devices: those that learn; by default all, less the last where there are several CPU
+            devices: acting has that one to itself, or it would queue behind the learner.
+    """
+    if devices is None:
+        devices = jax.devices()
+        if len(devices) > 1 and devices[0].platform == "cpu":
+            devices = devices[:-1]
     return Mesh(np.array(devices), (AXIS,))
+
+
+def acting_device() -> jax.Device:
+    """The device that acts: the last of the CPU."""
+    return jax.devices("cpu")[-1]
 
 
 def empty_seats(agent: Agent, num_runs: int, capacity: int, mesh: Mesh, like: RunHyper) -> Seats:
@@ -163,7 +176,7 @@ def make_programs(agent: Agent, mesh: Mesh, num_updates: int, tile: int) -> Prog
         learn,
         mesh=mesh,
         in_specs=(specs, P(AXIS), P(AXIS), P(AXIS)),
-        out_specs=(specs, P(AXIS)),
+        out_specs=specs,
         check_vma=False,
     )
     return Programs(
@@ -173,7 +186,7 @@ def make_programs(agent: Agent, mesh: Mesh, num_updates: int, tile: int) -> Prog
         learn=jax.jit(
             learn,
             donate_argnums=0,
-            out_shardings=(_seat_shardings(mesh), NamedSharding(mesh, P(AXIS))),
+            out_shardings=_seat_shardings(mesh),
         ),
     )
 
@@ -210,6 +223,12 @@ def act_or_begin(
     return state, jnp.concatenate([observation, decision.action, tail])
 
 
+def unpack(packed: np.ndarray, layout: replay.Layout) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Frames [R, W], to be written to, and the flags of `EXTRA_COLUMNS` by name, bool [R]."""
+    flags = packed[:, layout.width :].T > 0.5
+    return packed[:, : layout.width].copy(), dict(zip(EXTRA_COLUMNS, flags, strict=True))
+
+
 def _act_all(
     agent: Agent, acting: Acting, params: Behavior, observation: chex.Array, live: chex.Array
 ) -> tuple[Acting, chex.Array]:
@@ -226,11 +245,9 @@ def _learn_local(
     frames: chex.Array,
     slots: chex.Array,
     count: chex.Array,
-) -> tuple[Seats, Behavior]:
+) -> Seats:
     """`learn` on one device: its own runs, its own list of slots, its own count [1]."""
     memory = replay.add(seats.memory, frames)
-    num_runs = slots.shape[0]
-    tile = min(tile, num_runs)
     slots = jnp.concatenate([slots, jnp.zeros((tile,), slots.dtype)])
 
     def one(
@@ -250,7 +267,7 @@ def _learn_local(
 
     tiles = (count[0] + tile - 1) // tile
     train = jax.lax.fori_loop(0, tiles, learn_tile, seats.train)
-    return Seats(train=train, hyper=seats.hyper, memory=memory), agents.behavior(train)
+    return Seats(train=train, hyper=seats.hyper, memory=memory)
 
 
 def _take(chosen: chex.Array, leaf: chex.Array) -> chex.Array:

@@ -24,6 +24,7 @@ class Step(NamedTuple):
         truncated: the environment's time limit, bool [N].
         human_reset: whether the human ended the episode, bool [N].
         control: u_t, bool [N].
+        human_action: whether the human's action was executed, bool [N].
         began: whether an intervention began, bool [N].
         alarmed: C, bool [N].
         dangerous: h_t = 0, bool [N].
@@ -37,6 +38,7 @@ class Step(NamedTuple):
     truncated: np.ndarray
     human_reset: np.ndarray
     control: np.ndarray
+    human_action: np.ndarray
     began: np.ndarray
     alarmed: np.ndarray
     dangerous: np.ndarray
@@ -48,6 +50,7 @@ _COUNTS = (
     "shaped_return",
     "length",
     "interventions",
+    "intervened_steps",
     "human_steps",
     "alarms",
     "true_alarms",
@@ -71,8 +74,8 @@ class EpisodeCounter:
         self._recent[walker] = False
 
     def intervened(self, control: np.ndarray) -> np.ndarray:
-        """Whether the human has been in control in this episode, this step included, bool [N]."""
-        return control | (self._totals["human_steps"] > 0)
+        """Whether u was 1 at any step of this episode, this step included, bool [N]."""
+        return control | (self._totals["intervened_steps"] > 0)
 
     def count(self, step: Step) -> list[tuple[int, Row]]:
         """Adds one tick.
@@ -89,7 +92,8 @@ class EpisodeCounter:
         totals["shaped_return"] += np.where(live, step.shaped, 0.0)
         totals["length"] += live
         totals["interventions"] += live & step.began
-        totals["human_steps"] += live & step.control
+        totals["intervened_steps"] += live & step.control
+        totals["human_steps"] += live & step.human_action
         totals["alarms"] += live & step.alarmed
         totals["true_alarms"] += live & step.alarmed & step.dangerous
         totals["false_alarms"] += live & step.alarmed & ~step.dangerous

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from hitl_jax import agent as agents
-from hitl_jax import arbiter, batch
+from hitl_jax import batch
 from hitl_jax.agent import Agent
 from hitl_jax.config import RunHyper
 from hitl_jax.envs import Command, WalkerPool
@@ -64,6 +64,8 @@ class Evaluator:
             A row for each episode, in the order of `seeds`.
         """
         hyper = frozen(hyper, human_present=mode == "assisted")
+        # Committed to the acting device, the programs run there, a GPU or not.
+        params, key = jax.device_put((params, key), batch.acting_device())
         state = self._init(hyper, boundary, key, np.arange(len(seeds)))
         layout = self._agent.layout
         counter = EpisodeCounter(len(seeds))
@@ -77,22 +79,17 @@ class Evaluator:
             decided = np.asarray(packed)
             command = np.where(active, Command.STEP, Command.IDLE).astype(np.uint8)
             answer = self._pool.step(command, decided[:, layout.action], seeds)
-            extra = {
-                name: decided[:, layout.width + index] > 0.5
-                for index, name in enumerate(batch.EXTRA_COLUMNS)
-            }
-            shaped = arbiter.shaped_reward(
-                answer.reward, extra["control"], hyper.feedback, "step", active, active
-            )
+            _, extra = batch.unpack(decided, layout)
             known = hyper.has_arbiter > 0
             step = Step(
                 live=active,
                 reward=answer.reward,
-                shaped=shaped,
+                shaped=answer.reward,  # nothing is learned from a test
                 terminated=answer.terminated,
                 truncated=answer.truncated,
                 human_reset=np.zeros(len(seeds), bool),
                 control=extra["control"],
+                human_action=extra["human_action"],
                 began=extra["began"],
                 alarmed=extra["alarmed"],
                 dangerous=extra["dangerous"],

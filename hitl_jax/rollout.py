@@ -23,7 +23,7 @@ from hitl_jax.agent import Agent
 from hitl_jax.config import Method, RunHyper, require
 from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.episodes import EpisodeCounter, Row, Step
-from hitl_jax.types import Params
+from hitl_jax.types import Behavior, Params
 
 CPU_TILE = 3
 """Runs learned together on one CPU device: enough to share the cost of small operations, few enough
@@ -162,15 +162,14 @@ class Rollout:
         slots = pool.num_walkers
         mesh = batch.make_mesh()
         self._devices = mesh.size
+        _check(agent, pool, config)
         self._num_updates = config.num_updates(agent.config.policy_delay)
         self._programs = batch.make_programs(agent, mesh, self._num_updates, tile)
-        self._acting_device = jax.devices("cpu")[0]
-        like = jax.tree.map(np.asarray, specs[0].hyper)
+        self._acting_device = batch.acting_device()
+        like = _typed(specs[0].hyper)
         self._seats = batch.empty_seats(agent, slots, config.frames, mesh, like)
         self._acting = batch.empty_acting(agent, slots, self._acting_device, like)
-        behavior = jax.vmap(agents.behavior)(self._seats.train)
-        self._behavior = jax.device_put(behavior, self._acting_device)
-        self._pending = self._behavior
+        self._behavior = self._learned()
 
         self._queue = deque(specs)
         self._runs: list[Run | None] = [None] * slots
@@ -192,8 +191,7 @@ class Rollout:
         """Plays chunk after chunk; gives the runs that finished in each."""
         while self._active.any():
             frames = self._play()
-            # Not before it is needed: putting it on another device waits for the learner.
-            self._behavior = jax.device_put(self._pending, self._acting_device)
+            self._behavior = self._learned()  # Waits for the learner.
             finished = [run for run in self._runs if run is not None and run.done]
             results = [self._collect(run) for run in finished]
             self._learn(frames)
@@ -217,14 +215,13 @@ class Rollout:
             return
         spec = self._queue.popleft()
         learning, acting, _ = batch.run_keys(spec.seed, method_index(spec.method))
-        hyper = jax.tree.map(np.asarray, spec.hyper)
+        hyper = _typed(spec.hyper)
         self._seats = self._programs.seat(self._seats, slot, hyper, learning)
         acting_key = jax.device_put(acting, self._acting_device)
         self._acting = self._programs.seat_acting(self._acting, slot, hyper, acting_key)
         fresh = agents.behavior(self._take(self._seats.train, slot))
         fresh = jax.device_put(fresh, self._acting_device)
         self._behavior = self._replace(self._behavior, slot, fresh)
-        self._pending = self._replace(self._pending, slot, fresh)
         self._runs[slot] = Run(spec=spec, slot=slot)
         self._counter.clear(slot)
         self._active[slot] = True
@@ -254,10 +251,7 @@ class Rollout:
     def _record(self, live: np.ndarray, decided: np.ndarray, answer: StepBatch) -> np.ndarray:
         """Books one tick; its frames, [R, W]."""
         layout, config = self._layout, self._agent.config
-        extra = {
-            name: decided[:, layout.width + index] > 0.5
-            for index, name in enumerate(batch.EXTRA_COLUMNS)
-        }
+        frame, extra = batch.unpack(decided, layout)
         human_reset = live & extra["human_reset"]
         terminated = answer.terminated | (human_reset & config.human_reset_terminates)
         truncated = (answer.truncated | human_reset) & ~terminated
@@ -269,7 +263,6 @@ class Rollout:
             terminated | truncated,
             self._counter.intervened(extra["control"]),
         )
-        frame = decided[:, : layout.width].copy()
         frame[:, layout.reward] = np.where(live, shaped, 0.0)
         frame[:, layout.terminated] = live & terminated
         frame[:, layout.truncated] = live & truncated
@@ -281,6 +274,7 @@ class Rollout:
             truncated=answer.truncated,
             human_reset=human_reset,
             control=extra["control"],
+            human_action=extra["human_action"],
             began=extra["began"],
             alarmed=extra["alarmed"],
             dangerous=extra["dangerous"],
@@ -308,13 +302,19 @@ class Rollout:
         count = np.zeros(self._devices, np.int32)
         share = len(self._runs) // self._devices
         for run in self.runs():
-            warm = max(run.spec.hyper.warmup_steps, 2 * self._config.chunk)
+            needed = max(2 * self._config.chunk, self._agent.config.n_step + 2)
+            warm = max(run.spec.hyper.warmup_steps, needed)
             if not run.done and run.ticks >= warm:
                 device, column = divmod(run.slot, share)
                 slots[device * share + count[device]] = column
                 count[device] += 1
                 run.updates += self._num_updates
-        self._seats, self._pending = self._programs.learn(self._seats, frames, slots, count)
+        self._seats = self._programs.learn(self._seats, frames, slots, count)
+
+    def _learned(self) -> Behavior:
+        """What acting needs of the batch, copied to the acting device."""
+        behavior = agents.behavior(self._seats.train)
+        return jax.device_put(behavior, self._acting_device, may_alias=False)
 
     def _collect(self, run: Run) -> FinishedRun:
         train, acting = (
@@ -325,3 +325,21 @@ class Rollout:
             )
         )
         return FinishedRun(run=run, train=train, boundary=acting)
+
+
+def _typed(hyper: RunHyper) -> RunHyper:
+    """Host scalars of the types that the defaults have, whatever a caller wrote (1 for 1.0)."""
+
+    def cast(default: float, value: float) -> np.ndarray:
+        return np.asarray(value, np.int32 if isinstance(default, int) else np.float32)
+
+    return jax.tree.map(cast, RunHyper(), hyper)
+
+
+def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:
+    """Raises ValueError where agent, pool and loop do not fit each other."""
+    asked = (agent.config.observation_size, agent.config.action_size)
+    has = (pool.observation_size, pool.action_size)
+    if asked != has:
+        raise ValueError(f"agent has observations and actions of {asked}, the walkers of {has}")
+    require("n_step", agent.config.n_step, at_most=config.frames // 2)

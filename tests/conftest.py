@@ -2,6 +2,6 @@
 
 import os
 
-# Two CPU devices, as the sweep has on a machine of two cores: sharding is tested as it is used.
-os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
+# Two CPU devices that learn and one that acts, as the sweep has on a machine of two cores.
+os.environ.setdefault("JAX_NUM_CPU_DEVICES", "3")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")

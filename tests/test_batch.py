@@ -43,12 +43,8 @@ def _learn(runs, tile, mesh=None, skip=()):
             slots[device * share + count[device]] = column
             count[device] += 1
     for call in range(2):
-        seats, behavior = programs.learn(seats, _frames(runs, call), slots, count)
+        seats = programs.learn(seats, _frames(runs, call), slots, count)
     train = jax.device_get(seats.train.learner)
-    for leaf, match in zip(
-        jax.tree.leaves(behavior.actor), jax.tree.leaves(train.actor), strict=True
-    ):
-        np.testing.assert_array_equal(leaf, match)
     return {run: jax.tree.map(lambda leaf, s=slot: leaf[s], train) for slot, run in enumerate(runs)}
 
 
@@ -103,14 +99,14 @@ def test_the_ring_is_updated_in_place():
     programs = batch.make_programs(_AGENT, mesh, _UPDATES, 2)
     slots, count = np.zeros(4, np.int32), np.zeros(mesh.size, np.int32)
     frames = _frames(range(4))
-    seats, _ = programs.learn(seats, frames, slots, count)
+    seats = programs.learn(seats, frames, slots, count)
 
     def pointers():
         shards = seats.memory.frames.addressable_shards
         return [shard.data.unsafe_buffer_pointer() for shard in shards]
 
     before = pointers()
-    seats, _ = programs.learn(seats, frames, slots, count)
+    seats = programs.learn(seats, frames, slots, count)
     assert pointers() == before
 
 

@@ -7,7 +7,16 @@ from hitl_jax.envs.base import Command, StepBatch, WalkerError, WalkerPool
 BACKENDS = ("gymnasium", "envpool")
 WALKER = "BipedalWalker-v3"
 
-__all__ = ["BACKENDS", "WALKER", "Command", "StepBatch", "WalkerError", "WalkerPool", "make_pool"]
+__all__ = [
+    "BACKENDS",
+    "WALKER",
+    "Command",
+    "StepBatch",
+    "WalkerError",
+    "WalkerPool",
+    "make_pool",
+    "num_cores",
+]
 
 
 def make_pool(
@@ -39,7 +48,7 @@ def make_pool(
     if backend not in BACKENDS:
         raise ValueError(f"backend {backend!r}: must be one of {', '.join(BACKENDS)}")
     if num_workers is None:
-        num_workers = _num_cores()
+        num_workers = num_cores()
     _require_count("num_walkers", num_walkers)
     _require_count("num_workers", num_workers)
     if not 0 <= seed < 2**31:
@@ -54,7 +63,7 @@ def make_pool(
     return GymnasiumPool(env_id, num_walkers, num_workers)
 
 
-def _num_cores() -> int:
+def num_cores() -> int:
     """Cores that this process may use: fewer than the machine has, under `taskset` for example."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))

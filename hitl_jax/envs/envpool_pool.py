@@ -14,9 +14,9 @@ class EnvpoolPool(CheckedPool):
     when the pool is made, so a RESET's seed is not read and an episode cannot be repeated.
 
     EnvPool's own ways, hidden here. The call after a termination resets the walker and ignores the
-    action: that call is our RESET, so that it runs beside the others' steps; other walkers are reset
-    one by one. A fall in the step that reaches the time limit is told as truncated only: EnvPool is
-    given no limit, and the limit is kept here, with gymnasium's meaning.
+    action: that call is our RESET, so that it runs beside the others' steps; other walkers are
+    reset apart. A fall in the step that reaches the time limit is told as truncated only: EnvPool
+    is given no limit, and the limit is kept here, with gymnasium's meaning.
     """
 
     seedable = False
@@ -100,4 +100,3 @@ class EnvpoolPool(CheckedPool):
 
     def _shutdown(self) -> None:
         self._envs.close()
-
