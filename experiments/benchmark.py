@@ -21,8 +21,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from experiments.cli import BadInput, run_main
 from experiments.devices import use_all_cores
-from experiments.options import BadInput, run_main
 from hitl_jax import batch
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import tyro
 
+from experiments.cli import BadInput, run_main
 from hitl_jax.figures import draw_all
 from hitl_jax.results import ResultsError, ResultsFolder
 
@@ -25,29 +26,29 @@ class Options:
     results: tyro.conf.Positional[pathlib.Path]
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(options: Options) -> int:
     """Draws, and prints the files written.
 
     Args:
-        arguments: the command line without the program; None takes the process's own.
+        options: what to draw.
 
     Returns:
-        The exit code: 0, or 2 with one line on stderr where there is nothing to draw from.
+        The exit code.
+
+    Raises:
+        BadInput: where there is nothing to draw from.
     """
-    options = tyro.cli(Options, prog="python -m experiments.figures", args=arguments)
     try:
-        paths, notes = draw_all(
-            ResultsFolder(options.results), np.random.default_rng(_BOOTSTRAP_SEED)
-        )
-        if not paths:
-            raise ResultsError(f"{options.results}: no episode has been saved yet")
+        folder = ResultsFolder(options.results)
+        paths, notes = draw_all(folder, np.random.default_rng(_BOOTSTRAP_SEED))
     except ResultsError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+        raise BadInput(str(error)) from error
+    if not paths:
+        raise BadInput(f"{options.results}: no episode has been saved yet")
     for line in [*notes, *paths]:
         print(line)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_main(Options, main))

@@ -1,24 +1,13 @@
-"""The command line: options with units and defaults, and one clear line for bad input."""
+"""The options of a sweep, with units and defaults."""
 
-import contextlib
 import dataclasses
-import io
-import itertools
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 import tyro
 
 from hitl_jax.config import AgentConfig, Hyper, Method, require, validate_hyper
 from hitl_jax.envs import BACKENDS
 from hitl_jax.rollout import LoopConfig
-
-T = TypeVar("T")
-
-
-class BadInput(Exception):
-    """One line that names the option, the value and what is allowed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,54 +95,9 @@ class SweepOptions:
         if self.workers is not None:
             require("workers", self.workers, at_least=1)
         validate_hyper(self.hyper)
+        for name in ("observation_size", "action_size"):
+            has = getattr(AgentConfig(), name)
+            require(name, getattr(self.agent, name), at_least=has, at_most=has)
+        require("n_step", self.agent.n_step, at_most=self.loop.frames // 2)
         self.loop.num_updates(self.agent.policy_delay)
         return self
-
-
-def run_main(options: type[T], main: Callable[[T], int], args: Sequence[str] | None = None) -> int:
-    """Parses the command line and runs `main`; bad input is one line on stderr and exit code 2.
-
-    Args:
-        options: a dataclass of options.
-        main: does the work and returns an exit code; may raise BadInput.
-        args: the command line (default: the process's).
-    """
-    try:
-        return main(parse(options, args))
-    except BadInput as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-
-
-@contextlib.contextmanager
-def checking_input() -> Iterator[None]:
-    """Turns what the library says of a bad value into BadInput; only for checks, not for work."""
-    try:
-        yield
-    except (ValueError, ImportError) as error:
-        raise BadInput(" ".join(str(error).split())) from error
-
-
-def parse(options: type[T], args: Sequence[str] | None = None) -> T:
-    """The options of a command line.
-
-    tyro explains a bad command line in a framed box; this says the same in one line.
-
-    Raises:
-        BadInput: what is wrong, in one line.
-    """
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(said), checking_input():
-            return tyro.cli(options, args=args)
-    except SystemExit as stop:
-        if stop.code in (0, None):
-            raise
-        raise BadInput(_one_line(said.getvalue())) from stop
-
-
-def _one_line(box: str) -> str:
-    """The message of tyro's box: what stands above its first rule, without the frame."""
-    lines = [line.strip("│ ").strip() for line in box.splitlines()]
-    message = list(itertools.takewhile(lambda line: not line.startswith("──"), lines[1:]))
-    return " ".join(line for line in message if line)

@@ -71,7 +71,7 @@ class Progress:
         if now - self._shown < (_REFRESH_SECONDS if terminal else _LINE_SECONDS):
             return
         self._shown = now
-        runs = [*self._finished, *running]
+        runs = [*self._finished, *(run for run in running if not run.done)]
         episodes = sum(len(run.episodes) for run in runs)
         steps = sum(run.env_steps for run in runs)
         self._history.append((now, episodes, steps))

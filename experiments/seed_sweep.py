@@ -16,13 +16,15 @@ from typing import Any
 import jax
 import numpy as np
 
+from experiments.cli import BadInput, checking_input, run_main
 from experiments.devices import use_all_cores
-from experiments.options import BadInput, SweepOptions, checking_input, run_main
+from experiments.options import SweepOptions
 from experiments.progress import Progress
 from hitl_jax import batch, checkpoint, figures, human_actions
 from hitl_jax.agent import Agent, make_agent
 from hitl_jax.config import Method, hyper_for
 from hitl_jax.envs import make_pool
+from hitl_jax.episodes import ALARM_WINDOW
 from hitl_jax.evaluation import Evaluator, Mode
 from hitl_jax.files import ResultsError
 from hitl_jax.networks import Actor
@@ -82,6 +84,7 @@ def main(options: SweepOptions) -> int:
         if specs:
             sweep.run()
     except KeyboardInterrupt:
+        sweep.stop_drawing()
         sweep.save_partial()
         _draw(folder)
         print(
@@ -127,8 +130,13 @@ class _Sweep:
         devices = batch.make_mesh().size
         slots = math.ceil(min(len(self._specs), options.slots) / devices) * devices
         with (
-            make_pool(options.backend, slots, options.workers) as pool,
-            make_pool(options.backend, options.scale().test_episodes, options.workers) as test_pool,
+            make_pool(options.backend, slots, options.workers, seed=self._seed("train")) as pool,
+            make_pool(
+                options.backend,
+                options.scale().test_episodes,
+                options.workers,
+                seed=self._seed("test"),
+            ) as test_pool,
             self._progress as progress,
         ):
             progress.say(
@@ -146,12 +154,22 @@ class _Sweep:
         if self._drawing is not None:
             self._drawing.wait()
 
+    def _seed(self, phase: str) -> int:
+        """A seed for EnvPool, whose walkers cannot be seeded one by one: other runs, other seed."""
+        return episode_seed(phase, *(f"{spec.method}-{spec.seed}" for spec in self._specs)) >> 1
+
     def save_partial(self) -> None:
         """Writes the episodes of the runs under way, for the figures."""
         for run in self._rollout.runs() if self._rollout else []:
             if run.episodes:
                 key = RunKey(run.spec.method, run.spec.seed)
                 self._folder.write_partial(key, _columns(run.episodes, EPISODE_COLUMNS))
+
+    def stop_drawing(self) -> None:
+        """Ends a drawing that is under way: a folder has one writer."""
+        if self._drawing is not None:
+            self._drawing.terminate()
+            self._drawing.wait()
 
     def _finish(self, finished: FinishedRun, evaluator: Evaluator) -> None:
         """Tests a trained run and writes it."""
@@ -176,7 +194,7 @@ class _Sweep:
         ]
         info = {
             "config": self._config,
-            "wall_seconds": time.monotonic() - self._started,
+            "wall_seconds": time.monotonic() - run.started,
             "env_steps": run.env_steps,
             "updates": run.updates,
             **self._provenance,
@@ -229,6 +247,7 @@ def _config(options: SweepOptions) -> dict[str, Any]:
         "backend": options.backend,
         "episodes": options.scale().episodes,
         "test_episodes": options.scale().test_episodes,
+        "alarm_window": ALARM_WINDOW,
         "human_policy": options.human_policy,
         "agent": dataclasses.asdict(options.agent),
         "loop": dataclasses.asdict(options.loop),

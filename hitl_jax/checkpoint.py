@@ -59,12 +59,14 @@ def load_actor(path: str | os.PathLike[str], observation_size: int, action_size:
         raise ValueError(f"--human-policy {path}: is no checkpoint that can be read") from error
     if actor is None:
         raise ValueError(f"--human-policy {path}: holds no actor; give a run's params.npz")
-    sizes = hidden_sizes(actor)
-    layers = list(actor["params"].values())
-    if layers[0]["kernel"].shape[0] != observation_size or sizes[-1] != action_size:
+    try:
+        has = actor["params"]["Dense_0"]["kernel"].shape[0], hidden_sizes(actor)[-1]
+    except (KeyError, TypeError, IndexError) as error:
+        raise ValueError(f"--human-policy {path}: its actor is not one of this program") from error
+    if has != (observation_size, action_size):
         raise ValueError(
-            f"--human-policy {path}: has {layers[0]['kernel'].shape[0]} observations and "
-            f"{sizes[-1]} actions, the walker has {observation_size} and {action_size}"
+            f"--human-policy {path}: has {has[0]} observations and {has[1]} actions, "
+            f"the walker has {observation_size} and {action_size}"
         )
     return actor
 

@@ -37,6 +37,8 @@ class AgentConfig:
         batch_size: transitions in a minibatch of the task learner.
         n_step: steps of reward before the bootstrap.
         boundary_source: how line 6 and line 8 of Algorithm 1 meet: `network`, `residual`, `rule`.
+            With `residual` the actor is improved at its own output, as line 12 has it, not at the
+            executed sum.
         boundary_hidden_sizes: widths of the boundary networks' hidden layers.
         boundary_batch_size: samples in a minibatch of the boundary learner.
         indicator: name of the safety indicator c_t.
@@ -71,7 +73,13 @@ class AgentConfig:
         _one_of("danger", self.danger, tuple(DANGER_MODELS))
         _one_of("intervention", self.intervention, INTERVENTIONS)
         _one_of("feedback-schedule", self.feedback_schedule, FEEDBACK_SCHEDULES)
-        for name in ("batch_size", "n_step", "boundary_batch_size", "observation_size"):
+        for name in (
+            "batch_size",
+            "n_step",
+            "boundary_batch_size",
+            "observation_size",
+            "action_size",
+        ):
             require(name, getattr(self, name), at_least=1)
         for name in ("hidden_sizes", "boundary_hidden_sizes"):
             sizes = getattr(self, name)
@@ -105,8 +113,9 @@ class Hyper:
         gamma: discount of one environment step.
         target_noise: standard deviation of TD3's target smoothing, in units of action.
         target_noise_clip: bound of that noise.
-        exploration_noise: standard deviation of the action noise.
-        noise_correlation: correlation of the action noise from step to step; 0 is white.
+        exploration_noise: standard deviation of the action noise, in units of action.
+        noise_correlation: correlation of the action noise from step to step; 0 is white. The noise
+            starts from 0 in every episode.
         warmup_steps: environment steps of uniformly random actions before learning.
         initial_boundary: τ_0 [rad].
         delta_minus: Δ⁻, what a true alarm takes from the boundary [rad].
@@ -117,7 +126,8 @@ class Hyper:
         boundary_actor_learning_rate: α^θ.
         boundary_critic_learning_rate: α^ω.
         alarm_reward: ρ, the size of r'_t.
-        feedback: r(s, a^h), negative for a punishment.
+        feedback: r(s, a^h), negative for a punishment. Given at every step of an intervention
+            unless the schedule says otherwise: a takeover of ten steps pays it ten times.
         takeover_steps: least number of steps that a takeover lasts.
         human_action_noise: standard deviation of the noise on a^h.
         human: the simulated human's parameters.

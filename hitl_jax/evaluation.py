@@ -21,10 +21,10 @@ Mode = Literal["autonomous", "assisted"]
 class Evaluator:
     """Plays test episodes of one run at a time, a walker for each episode.
 
-    Everything is frozen: no noise, no learning, the boundary as training left it. `autonomous`:
-    nobody intervenes; alarms and judgements are recorded all the same. `assisted`: arbiter and
-    human are on, and an intervention is a takeover, whatever it was in training, since a test is
-    not reset.
+    Everything is frozen: no exploration, no learning, the boundary as training left it.
+    `autonomous`: nobody intervenes; alarms and judgements are recorded all the same. `assisted`:
+    arbiter and human are on, and an intervention is a takeover, whatever it was in training, since
+    a test is not reset.
     """
 
     def __init__(self, agent: Agent, pool: WalkerPool):

@@ -39,7 +39,8 @@ class HumanParams:
         delay: reaction delay [steps; 50 are one second, a person needs 10 to 25].
         mistake_rate: ε, probability that a judgement is flipped, at each step [1].
         lapse_rate: m, probability that no judgement is made, at each step [1].
-        max_interventions: interventions that the human has patience for in a run [count].
+        max_interventions: interventions that the human has patience for in a run [count]. A
+            judgement that is withheld counts as safe, and so loosens a boundary that raises alarms.
         refractory_steps: rest after an intervention before the next [steps].
     """
 

@@ -165,7 +165,7 @@ class ResultsFolder:
             key: the run.
             episodes: training episodes, columns `EPISODE_COLUMNS`, each [T].
             tests: test episodes, columns `TEST_COLUMNS`, each [N]; N may be 0.
-            params: arrays by flat name, for example "actor/layer_0/kernel".
+            params: arrays by flat name, for example "actor/params/Dense_0/kernel".
             info: what `RUN_INFO` lists, and whatever else JSON can hold.
 
         Raises:

@@ -10,6 +10,7 @@ at once, and takes no more time. Nothing a run computes depends on its slot or o
 
 import dataclasses
 import math
+import time
 import zlib
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -36,8 +37,9 @@ class LoopConfig:
 
     Attributes:
         capacity: frames in the replay of a run; rounded up to whole chunks.
-        chunk: environment steps between two calls of the learner.
-        updates_per_step: updates of the task learner per environment step.
+        chunk: ticks between two calls of the learner; a tick is an environment step, or the reset
+            after an episode. The boundary learner makes one update a call (the paper: one a step).
+        updates_per_step: updates of the task learner per tick.
     """
 
     capacity: int = 200_000
@@ -99,6 +101,7 @@ class Run:
         env_steps: environment steps taken.
         updates: updates of the task learner.
         done: whether all episodes have ended.
+        started: when it was seated, on the monotonic clock [s].
     """
 
     spec: RunSpec
@@ -108,6 +111,7 @@ class Run:
     env_steps: int = 0
     updates: int = 0
     done: bool = False
+    started: float = dataclasses.field(default_factory=time.monotonic)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -195,13 +199,13 @@ class Rollout:
             finished = [run for run in self._runs if run is not None and run.done]
             results = [self._collect(run) for run in finished]
             self._learn(frames)
+            yield results
             for run in finished:
                 self._runs[run.slot] = None
                 self._seat(run.slot)
-            yield results
 
     def runs(self) -> list[Run]:
-        """The runs under way."""
+        """The runs under way, and those that have just been given as finished."""
         return [run for run in self._runs if run is not None]
 
     def _slot_order(self) -> list[int]:

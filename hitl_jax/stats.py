@@ -101,7 +101,7 @@ def probability_of_improvement(
     """How often X beats Y on the same seed: mean(x > y) + ½ mean(x = y).
 
     Paired by seed, unlike rliable, which compares every run of X with every run of Y: here runs of
-    one seed share their terrain, and pairing keeps that.
+    one seed share the terrain of their test, and pairing keeps that.
 
     Args:
         x: X's score for each seed, [S].

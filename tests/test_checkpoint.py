@@ -52,5 +52,8 @@ def test_what_is_no_checkpoint_is_named(saved, tmp_path):
             checkpoint.load_actor(bad, 24, 4)
     with pytest.raises(ValueError, match="holds no actor"):
         checkpoint.load_actor(empty, 24, 4)
+    np.savez(empty, **{"actor/weights": np.zeros(3)})
+    with pytest.raises(ValueError, match="its actor is not one of this program"):
+        checkpoint.load_actor(empty, 24, 4)
     with pytest.raises(ValueError, match="has 24 observations and 4 actions"):
         checkpoint.load_actor(path, 8, 2)

@@ -18,28 +18,22 @@ def _spec(method, seed, **changes):
     return RunSpec(method, seed, hyper_for(method, _HYPER.replace(**changes)), episodes=12)
 
 
-def _play(specs, slots, tile=2, config=_CONFIG, loop=_LOOP):
+def _play(specs, slots, config=_CONFIG, loop=_LOOP):
     """Finished runs by (method, seed)."""
-    rollout = Rollout(make_agent(config), specs, ToyPool(slots), loop, tile)
+    rollout = Rollout(make_agent(config), specs, ToyPool(slots), loop, tile=2)
     finished = [run for done in rollout for run in done]
     assert len(finished) == len(specs)
     return {(done.run.spec.method, done.run.spec.seed): done for done in finished}
 
 
-def _assert_same(one, other, rtol=2e-4):
+def _assert_same(one, other):
+    """To the last bit: company and place change nothing, not even rounding."""
     assert one.run.env_steps == other.run.env_steps
     assert one.run.updates == other.run.updates > 0
-    for row, match in zip(one.run.episodes, other.run.episodes, strict=True):
-        assert row.keys() == match.keys()
-        for name, value in row.items():
-            if isinstance(value, str):
-                assert value == match[name]
-            else:
-                np.testing.assert_allclose(value, match[name], rtol=rtol, err_msg=name)
-    leaves, others = jax.tree.leaves(one.train), jax.tree.leaves(other.train)
-    for leaf, match in zip(leaves, others, strict=True):
-        np.testing.assert_allclose(leaf, match, rtol=rtol, atol=1e-5)
-    np.testing.assert_allclose(one.boundary, other.boundary, rtol=1e-6)
+    # As text, since NaN differs from itself.
+    assert repr(one.run.episodes) == repr(other.run.episodes)
+    jax.tree.map(np.testing.assert_array_equal, one.train, other.train)
+    assert one.boundary == other.boundary
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +44,7 @@ def together():
 
 def test_a_run_equals_the_same_run_alone(together):
     for method in Method:
-        alone = _play([_spec(method, 1)], slots=2, tile=1)
+        alone = _play([_spec(method, 1)], slots=2)
         _assert_same(alone[method, 1], together[method, 1])
 
 
@@ -58,7 +52,7 @@ def test_order_queue_and_neighbours_do_not_matter(together):
     # Fewer slots than runs, another order, and neighbours of other hyperparameters.
     specs = [_spec(method, seed) for method in reversed(Method) for seed in (1, 0)]
     specs.insert(1, _spec(Method.SRL, 7, exploration_noise=0.5))
-    queued = _play(specs, slots=4, tile=1)
+    queued = _play(specs, slots=4)
     for key, run in together.items():
         _assert_same(queued[key], run)
 

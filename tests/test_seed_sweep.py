@@ -10,7 +10,8 @@ import time
 import numpy as np
 import pytest
 
-from experiments.options import SweepOptions, run_main
+from experiments.cli import run_main
+from experiments.options import SweepOptions
 from experiments.seed_sweep import main
 from hitl_jax.results import ResultsFolder, RunKey
 
