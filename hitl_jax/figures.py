@@ -166,8 +166,8 @@ def _draw_tests(data: _Data, rng: np.random.Generator) -> Figure | None:
     right.set_xticks(range(len(methods)), [m.name.upper() for m in methods])
     right.set(xlim=(-0.5, len(methods) - 0.5), ylabel="mean test return")
     right.grid(visible=False, axis="x")
-    _mark_solved(right, "")
-    _mark_solved(left, "solved")
+    _mark_solved(right, "solved")
+    _mark_solved(left, "")
     marks = [
         Line2D([], [], color=_GREY, marker="o", markerfacecolor=face, label=label)
         for face, label in (
