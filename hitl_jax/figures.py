@@ -166,8 +166,8 @@ def _draw_tests(data: _Data, rng: np.random.Generator) -> Figure | None:
     right.set_xticks(range(len(methods)), [m.name.upper() for m in methods])
     right.set(xlim=(-0.5, len(methods) - 0.5), ylabel="mean test return")
     right.grid(visible=False, axis="x")
-    _mark_solved(right, "solved")
-    _mark_solved(left, "")
+    for axes in (left, right):
+        _mark_solved(axes, "")  # good walkers stand where the word would
     marks = [
         Line2D([], [], color=_GREY, marker="o", markerfacecolor=face, label=label)
         for face, label in (
@@ -175,7 +175,8 @@ def _draw_tests(data: _Data, rng: np.random.Generator) -> Figure | None:
             ("white", "assisted by the human: likewise"),
         )
     ]
-    figure.legend(handles=lines, loc="outside upper center", ncols=3)
+    lines.append(Line2D([], [], color=_GREY, linewidth=0.9, linestyle="--", label="solved"))
+    figure.legend(handles=lines, loc="outside upper center", ncols=4)
     figure.legend(handles=marks, loc="outside lower center", ncols=2)
     return figure
 
