@@ -8,6 +8,7 @@ is done.
 import dataclasses
 import math
 import shlex
+import signal
 import subprocess
 import sys
 import time
@@ -117,6 +118,7 @@ class _Sweep:
         self._specs = specs
         self._rollout: Rollout | None = None
         self._drawing: subprocess.Popen | None = None
+        self._interrupted = False
         self._started = time.monotonic()
         self._draw_at = self._started + FIRST_FIGURES_SECONDS
         self._provenance = {"versions": versions(), "commit": git_commit()}
@@ -146,11 +148,17 @@ class _Sweep:
             evaluator = Evaluator(self._agent, test_pool)
             tile = CPU_TILE if jax.default_backend() == "cpu" else slots
             self._rollout = Rollout(self._agent, self._specs, pool, options.loop, tile)
-            for done in self._rollout:
-                for finished in done:
-                    self._finish(finished, evaluator)
-                progress.show(self._rollout.runs())
-                self._draw_now_and_then()
+            previous = signal.signal(signal.SIGINT, self._interrupt)
+            try:
+                for done in self._rollout:
+                    for finished in done:
+                        self._finish(finished, evaluator)
+                    if self._interrupted:
+                        raise KeyboardInterrupt
+                    progress.show(self._rollout.runs())
+                    self._draw_now_and_then()
+            finally:
+                signal.signal(signal.SIGINT, previous)
         if self._drawing is not None:
             self._drawing.wait()
 
@@ -164,6 +172,14 @@ class _Sweep:
             if run.episodes:
                 key = RunKey(run.spec.method, run.spec.seed)
                 self._folder.write_partial(key, _columns(run.episodes, EPISODE_COLUMNS))
+
+    def _interrupt(self, *_: object) -> None:
+        """Ctrl-C: stops after the chunk, or the test, under way; a second one stops at once.
+
+        Raised at any instant, KeyboardInterrupt could land where Python drops it.
+        """
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        self._interrupted = True
 
     def stop_drawing(self) -> None:
         """Ends a drawing that is under way: a folder has one writer."""

@@ -152,9 +152,10 @@ def test_ctrl_c_draws_what_there_is_and_says_how_to_go_on(tmp_path):
             assert line, sweep.communicate()[1]
             line = sweep.stdout.readline()
         os.killpg(sweep.pid, signal.SIGINT)
-        said, errors = sweep.communicate(timeout=60)
+        said, errors = sweep.communicate(timeout=120)
     finally:
         sweep.kill()
+        sweep.communicate()
     assert sweep.returncode == 130, errors
     assert "The same command goes on" in said
     assert "Traceback" not in errors
