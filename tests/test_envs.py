@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from hitl_jax.envs import BACKENDS, Command, StepBatch, WalkerError, make_pool
-from hitl_jax.envs.gymnasium_pool import GymnasiumPool
+from hitl_jax.envs.worker_pool import WorkerPool
 
 IDLE, STEP, RESET = Command
 TOY = "test_envs:Toy-v0"
@@ -145,7 +145,7 @@ def play(pool, who: list[int], ticks: int) -> StepBatch:
     return StepBatch(*map(np.stack, zip(*batches, strict=True)))
 
 
-# --------------------------------------------------------------------------- the official walker
+# ------------------------------------------------------------------ the official walker, and lean
 
 
 @pytest.fixture(scope="module")
@@ -154,17 +154,19 @@ def plain() -> StepBatch:
     return play(PlainLoop("BipedalWalker-v3", 5), [0, 1, 2, 3, 4], 300)
 
 
-def test_is_a_plain_loop_bit_for_bit(plain):
+@pytest.mark.parametrize("backend", ["gymnasium", "lean"])
+def test_is_a_plain_loop_bit_for_bit(plain, backend):
     assert plain.terminated.sum() >= 3  # The script has falls, human resets and repeated seeds.
     assert (plain.reward[plain.terminated] == -100).all()
-    with make_pool("gymnasium", 5, 2) as pool:
+    with make_pool(backend, 5, 2) as pool:
         assert (pool.num_walkers, pool.observation_size, pool.action_size) == (5, 24, 4)
         assert pool.seedable
         same(play(pool, [0, 1, 2, 3, 4], 300), plain)
 
 
-def test_neither_workers_nor_place_nor_neighbours_matter(plain):
-    with make_pool("gymnasium", 3, 1) as pool:
+@pytest.mark.parametrize("backend", ["gymnasium", "lean"])
+def test_neither_workers_nor_place_nor_neighbours_matter(plain, backend):
+    with make_pool(backend, 3, 1) as pool:
         batch = play(pool, [4, 2, 0], 300)
     same(batch, StepBatch(*(array[:, [4, 2, 0]] for array in plain)))
 
@@ -285,10 +287,11 @@ def test_order_of_calls(toys):
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (("mujoco", 1), "backend 'mujoco': must be one of gymnasium, envpool"),
+        (("mujoco", 1), "backend 'mujoco': must be one of lean, gymnasium, envpool"),
         (("gymnasium", 0), "num_walkers 0: must be a whole number of at least 1"),
         (("gymnasium", 2.0), "num_walkers 2.0: must be"),
         (("envpool", 4, -1), "num_workers -1: must be"),
+        (("lean", 1, 1, "CartPole-v1"), "env_id 'CartPole-v1': must be one of BipedalWalker-v3, B"),
     ],
 )
 def test_bad_arguments(arguments, line):
@@ -363,7 +366,7 @@ def test_a_worker_that_does_not_come_up():
     with pytest.raises(WalkerError, match="DiscreteToy-v0: actions must be flat vectors, not Disc"):
         make_pool("gymnasium", 1, 1, "test_envs:DiscreteToy-v0")
     with pytest.raises(WalkerError, match="2 of 2 walker processes did not come up in time"):
-        GymnasiumPool(TOY, 2, 2, start_seconds=0.001)
+        WorkerPool("gymnasium", TOY, 2, 2, start_seconds=0.001)
 
 
 def test_a_killed_pool_leaves_no_orphans():
@@ -387,7 +390,7 @@ def test_a_killed_pool_leaves_no_orphans():
 
 def test_imports_are_lazy():
     program = (
-        "import sys, hitl_jax.envs, hitl_jax.envs.worker\n"
+        "import sys, hitl_jax.envs.worker, hitl_jax.envs.worker_pool\n"
         "heavy = {'jax', 'flax', 'gymnasium', 'envpool', 'Box2D', 'pygame'} & sys.modules.keys()\n"
         "assert not heavy, heavy\n"
     )
@@ -510,4 +513,4 @@ def test_envpool_bad_arguments():
 
 
 def test_backends():
-    assert BACKENDS == ("gymnasium", "envpool")
+    assert BACKENDS == ("lean", "gymnasium", "envpool")

@@ -94,7 +94,7 @@ def test_another_configuration_is_refused_with_the_difference(swept, capsys):
         (["--delta-minus", "-1"], "--delta-minus -1.0: must be at least 0"),
         (["--human.delay", "99"], "--human.delay 99: must be from 0 to 32"),
         (["--preset", "huge"], "--preset huge: must be one of full, quick"),
-        (["--backend", "mujoco"], "--backend mujoco: must be one of gymnasium, envpool"),
+        (["--backend", "mujoco"], "--backend mujoco: must be one of lean, gymnasium, envpool"),
         (["--learner", "sac"], "--learner sac: must be one of ddpg, td3"),
         (["--updates-per-step", "0.3"], "--updates-per-step 0.3"),
         (["--human-policy", "pyproject.toml"], "is no checkpoint that can be read"),

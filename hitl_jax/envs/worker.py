@@ -1,4 +1,4 @@
-"""A process that steps some of a pool's walkers; `GymnasiumPool` starts it, no person does.
+"""A process that steps some of a pool's walkers; `WorkerPool` starts it, no person does.
 
 It first tells the sizes of its spaces. Then each byte on stdin is a tick: commands and actions are
 in the shared memory, results go there, and a byte back says that they are there. When stdin closes
@@ -9,18 +9,40 @@ import gc
 import os
 import signal
 import sys
-from typing import Any
+from typing import Protocol
 
-from hitl_jax.envs.base import Command
 from hitl_jax.envs.shared import SIZES, SharedArrays, map_arrays
 
 
+class Walkers(Protocol):
+    """The walkers of one process.
+
+    Attributes:
+        observation_size: O.
+        action_size: A.
+    """
+
+    observation_size: int
+    action_size: int
+
+    def tick(self, arrays: SharedArrays) -> None:
+        """Does what is asked of each walker; the pool has cleared reward and flags."""
+        ...
+
+
 def main(
-    env_id: str, memory: int, reply: int, num_walkers: int, first: int, num_workers: int
+    backend: str,
+    env_id: str,
+    memory: int,
+    reply: int,
+    num_walkers: int,
+    first: int,
+    num_workers: int,
 ) -> None:
     """Serves walkers `first`, `first + num_workers`, ... until stdin closes.
 
     Args:
+        backend: `lean` or `gymnasium`.
         env_id: gymnasium's name of the environment.
         memory: file descriptor of the shared memory; it gets its size before the first tick.
         reply: file descriptor of the pipe to the pool.
@@ -29,15 +51,10 @@ def main(
         num_workers: workers of the pool.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the pool's to handle.
-    import gymnasium
-
     # Walkers leave next to no cycles, and looking for them among all terrains takes 3 % of a tick.
     gc.disable()
-    envs = [
-        gymnasium.make(env_id, disable_env_checker=True)
-        for _ in range(first, num_walkers, num_workers)
-    ]
-    sizes = _flat_size("observation", envs[0]), _flat_size("action", envs[0])
+    walkers = _make(backend, env_id, len(range(first, num_walkers, num_workers)))
+    sizes = walkers.observation_size, walkers.action_size
     os.write(reply, SIZES.pack(*sizes))
     if not os.read(0, 1):
         return
@@ -45,44 +62,21 @@ def main(
         *(array[first::num_workers] for array in map_arrays(memory, num_walkers, *sizes))
     )
     while True:
-        _tick(envs, arrays)
+        walkers.tick(arrays)
         os.write(reply, b".")
         if not os.read(0, 1):
             return
 
 
-def _tick(envs: list[Any], arrays: SharedArrays) -> None:
-    """Does what is asked of each walker; the pool has cleared reward and flags."""
-    action, observation, seed, reward, command, terminated, truncated = arrays
-    for index, order in enumerate(command.tolist()):
-        if order == Command.STEP:
-            answer = envs[index].step(action[index])
-            observation[index], reward[index], terminated[index], truncated[index], _ = answer
-        elif order == Command.RESET:
-            _forget(envs[index])
-            observation[index], _ = envs[index].reset(seed=int(seed[index]))
+def _make(backend: str, env_id: str, num_walkers: int) -> Walkers:
+    if backend == "lean":
+        from hitl_jax.envs.lean import LeanWalkers
 
+        return LeanWalkers(env_id, num_walkers)
+    from hitl_jax.envs.official import OfficialWalkers
 
-def _forget(env: Any) -> None:
-    """Gives a Box2D environment a new world, as `gymnasium.make` would.
-
-    `reset` destroys the bodies but keeps the world, which orders new contacts by what it held
-    before; so the solver rounds differently, and the same seed and actions give another episode
-    after other episodes. The bodies are built anew at each reset anyway: this costs nothing.
-    """
-    env = env.unwrapped
-    if hasattr(env, "world") and hasattr(env, "_destroy"):
-        env._destroy()
-        env.world = type(env.world)()
-
-
-def _flat_size(name: str, env: Any) -> int:
-    """Length of the vectors in a space of the environment."""
-    space = getattr(env, f"{name}_space")
-    if type(space).__name__ != "Box" or len(space.shape) != 1:
-        raise ValueError(f"env_id {env.spec.id}: {name}s must be flat vectors, not {space}")
-    return space.shape[0]
+    return OfficialWalkers(env_id, num_walkers)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], *map(int, sys.argv[2:]))
+    main(*sys.argv[1:3], *map(int, sys.argv[3:]))

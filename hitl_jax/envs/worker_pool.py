@@ -1,4 +1,4 @@
-"""Official gymnasium walkers, several in each of a few worker processes."""
+"""Walkers on gymnasium's Box2D, several in each of a few worker processes."""
 
 import contextlib
 import dataclasses
@@ -61,8 +61,8 @@ class _Worker:
         return self.log.read().decode(errors="replace").strip()
 
 
-class GymnasiumPool(CheckedPool):
-    """N official gymnasium walkers over W worker processes, walker i in worker i mod W.
+class WorkerPool(CheckedPool):
+    """N walkers, gymnasium's own or the lean ones that equal them, over W worker processes, walker i in worker i mod W.
 
     An episode is a function of its seed and actions alone: neither W, nor the walker's place, nor
     its earlier episodes matter. It equals, bit for bit, the first episode of a new
@@ -72,11 +72,17 @@ class GymnasiumPool(CheckedPool):
     seedable = True
 
     def __init__(
-        self, env_id: str, num_walkers: int, num_workers: int, start_seconds: float = 120.0
+        self,
+        backend: str,
+        env_id: str,
+        num_walkers: int,
+        num_workers: int,
+        start_seconds: float = 120.0,
     ):
         """Starts all workers at once and waits until they are ready.
 
         Args:
+            backend: `lean` or `gymnasium`.
             env_id: gymnasium's name of the environment, as in `gymnasium.make`.
             num_walkers: N.
             num_workers: W, at most N.
@@ -90,7 +96,9 @@ class GymnasiumPool(CheckedPool):
         memory = _anonymous_file()
         try:
             for index in range(num_workers):
-                self._workers.append(_launch(env_id, memory, num_walkers, index, num_workers))
+                self._workers.append(
+                    _launch(backend, env_id, memory, num_walkers, index, num_workers)
+                )
                 self._poll.register(self._workers[-1].reply, select.POLLIN)
             answers = self._replies(SIZES.size, time.monotonic() + start_seconds)
             observation_size, action_size = SIZES.unpack(answers)
@@ -189,7 +197,9 @@ class GymnasiumPool(CheckedPool):
         self._workers = []
 
 
-def _launch(env_id: str, memory: int, num_walkers: int, index: int, num_workers: int) -> _Worker:
+def _launch(
+    backend: str, env_id: str, memory: int, num_walkers: int, index: int, num_workers: int
+) -> _Worker:
     """Starts a worker; does not wait for it.
 
     A plain new interpreter: no fork of a process that has JAX's threads, no second import of the
@@ -203,7 +213,7 @@ def _launch(env_id: str, memory: int, num_walkers: int, index: int, num_workers:
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
     try:
         process = subprocess.Popen(
-            [*command, "-m", "hitl_jax.envs.worker", env_id, *map(str, numbers)],
+            [*command, "-m", "hitl_jax.envs.worker", backend, env_id, *map(str, numbers)],
             bufsize=0,
             stdin=subprocess.PIPE,
             stdout=log,
