@@ -19,7 +19,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from Box2D import b2World
+from Box2D import b2World  # type: ignore[import-untyped]
 from gymnasium.envs.box2d import bipedal_walker as official
 
 from hitl_jax.envs.base import Command
@@ -50,7 +50,7 @@ class _Recorder:
     def __init__(self) -> None:
         self.shapes: list[tuple[Any, Sequence[tuple[float, float]]]] = []
 
-    def CreateStaticBody(self, fixtures: Any) -> Any:  # noqa: N802, Box2D's name
+    def CreateStaticBody(self, fixtures: Any) -> Any:
         """Keeps a shape; gymnasium colours what it gets back."""
         self.shapes.append((fixtures, tuple(fixtures.shape.vertices)))
         return types.SimpleNamespace()
@@ -102,6 +102,7 @@ class _Walker(official.BipedalWalker):
     def read(self) -> tuple[float, ...]:
         """Place, velocity and angle of the hull, of the joints, contacts; see `_observe`."""
         hull, legs = self.hull, self.legs
+        assert hull is not None
         place, velocity = hull.position, hull.linearVelocity
         hip, knee, other_hip, other_knee = self.joints
         return (
@@ -126,6 +127,7 @@ class _Walker(official.BipedalWalker):
 
     def cast(self) -> Iterator[float]:
         """Box2D's own lidar."""
+        assert self.hull is not None
         place = self.hull.position
         for ray, (x, y) in zip(self.lidar, _REACH.T.tolist(), strict=True):
             ray.fraction = 1.0

@@ -23,9 +23,7 @@ class OfficialWalkers:
             env_id: gymnasium's name of the environment.
             num_walkers: of this process.
         """
-        self._envs = [
-            gymnasium.make(env_id, disable_env_checker=True) for _ in range(num_walkers)
-        ]
+        self._envs = [gymnasium.make(env_id, disable_env_checker=True) for _ in range(num_walkers)]
         self.observation_size = _flat_size("observation", self._envs[0])
         self.action_size = _flat_size("action", self._envs[0])
 

@@ -79,4 +79,4 @@ def _make(backend: str, env_id: str, num_walkers: int) -> Walkers:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:3], *map(int, sys.argv[3:]))
+    main(sys.argv[1], sys.argv[2], *map(int, sys.argv[3:]))

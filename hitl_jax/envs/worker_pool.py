@@ -62,7 +62,7 @@ class _Worker:
 
 
 class WorkerPool(CheckedPool):
-    """N walkers, gymnasium's own or the lean ones that equal them, over W worker processes, walker i in worker i mod W.
+    """N walkers over W worker processes, walker i in worker i mod W.
 
     An episode is a function of its seed and actions alone: neither W, nor the walker's place, nor
     its earlier episodes matter. It equals, bit for bit, the first episode of a new

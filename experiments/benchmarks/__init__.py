@@ -1,0 +1,1 @@
+"""The parts of `experiments.benchmark`; each gives the rows of a table."""

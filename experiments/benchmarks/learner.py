@@ -1,0 +1,99 @@
+"""The learner beside the machine's own float32 matrix product."""
+
+import itertools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from experiments.benchmarks.timing import Row, best
+from hitl_jax import batch
+from hitl_jax.agent import make_agent
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+
+PRODUCT_SIZE = 2048
+
+
+def update_flops(config: AgentConfig) -> float:
+    """Matrix-product FLOPs that one update of one run cannot do without, from the shapes.
+
+    Counted: target actor and target critics forward; critics forward and backward without the
+    gradient of their input; at every `policy_delay`-th update the actor forward and backward
+    without the gradient of its input, and one critic forward and back to the action alone.
+    """
+
+    def layers(inputs: int, outputs: int) -> list[int]:
+        sizes = [inputs, *config.hidden_sizes, outputs]
+        return [a * b for a, b in itertools.pairwise(sizes)]
+
+    observations, actions = config.observation_size, config.action_size
+    actor = layers(observations, actions)
+    critic = layers(observations + actions, 1)
+    target = sum(actor) + config.num_critics * sum(critic)
+    critics = config.num_critics * (3 * sum(critic) - critic[0])
+    to_action = sum(critic[1:]) + actions * config.hidden_sizes[0]
+    policy = (3 * sum(actor) - actor[0]) + sum(critic) + to_action
+    return 2.0 * config.batch_size * (target + critics + policy / config.policy_delay)
+
+
+def measure_product(seconds: float) -> float:
+    """float32 matrix product over all cores [FLOP/s]."""
+    n = PRODUCT_SIZE
+    x = jnp.ones((n, n))
+    product = jax.jit(lambda a: a @ a)
+    return 2.0 * n**3 / best(lambda: product(x), seconds)
+
+
+def measure_learner(seconds: float, tile: int) -> list[Row]:
+    """Updates/s and GFLOP/s beside the product's rate, and the bars of the two sizes."""
+    peak = measure_product(seconds)
+    rows = [
+        _learner_row(AgentConfig(hidden_sizes=(256, 256), batch_size=256), 12, 0.45, seconds, tile),
+        _learner_row(AgentConfig(hidden_sizes=(128, 128), batch_size=128), 30, 0.35, seconds, tile),
+    ]
+    # The machine may have been faster or slower meanwhile: the higher figure is the bound.
+    peak = max(peak, measure_product(seconds))
+    for row in rows:
+        row["product GFLOP/s"] = round(peak / 1e9, 1)
+        row["ratio"] = round(row["GFLOP/s"] * 1e9 / peak, 3)
+    return rows
+
+
+def _learner_row(config: AgentConfig, runs: int, bar: float, seconds: float, tile: int) -> Row:
+    agent = make_agent(config)
+    mesh = batch.make_mesh()
+    runs = runs // mesh.size * mesh.size
+    chunk, updates, capacity = 16, 8, 16 * 256
+    hyper = jax.tree.map(np.asarray, hyper_for(Method.HITL_AC, Hyper()))
+    seats = batch.empty_seats(agent, runs, capacity, mesh, hyper)
+    programs = batch.make_programs(agent, mesh, updates, tile)
+    for slot in range(runs):
+        seats = programs.seat(seats, slot, hyper, jax.random.key(slot))
+    layout = agent.layout
+    frames = np.random.default_rng(0).normal(size=(runs, chunk, layout.width)).astype(np.float32)
+    frames[:, :, layout.terminated : layout.final + 1] = 0.0
+    share = runs // mesh.size
+    slots = np.tile(np.arange(share, dtype=np.int32), mesh.size)
+    nobody, everybody = (np.full(mesh.size, n, np.int32) for n in (0, share))
+    for _ in range(capacity // chunk):
+        seats = programs.learn(seats, frames, slots, nobody)
+
+    def learn() -> Any:
+        nonlocal seats
+        seats = programs.learn(seats, frames, slots, everybody)
+        return seats.train.learner.actor
+
+    took = best(learn, seconds)
+    rate = runs * updates / took
+    achieved = rate * update_flops(config)
+    return {
+        "network": "x".join(map(str, config.hidden_sizes)),
+        "batch": config.batch_size,
+        "runs": runs,
+        "updates/s": round(rate),
+        "GFLOP/s": round(achieved / 1e9, 1),
+        "product GFLOP/s": 0.0,
+        "ratio": 0.0,
+        "bar": bar,
+    }

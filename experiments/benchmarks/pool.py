@@ -1,0 +1,112 @@
+"""Pools of walkers beside plain loops of official ones.
+
+All step the same number of walkers with random actions. The pool's neighbours on the machine are
+felt most here, so the rows take turns and each figure is the median over turns; the row of two
+plain processes tells what two cores gave meanwhile.
+"""
+
+import multiprocessing
+import statistics
+import time
+from collections.abc import Callable
+from multiprocessing.queues import SimpleQueue
+from multiprocessing.synchronize import Barrier
+
+import gymnasium
+import numpy as np
+
+from experiments.benchmarks.timing import REPEATS, Row
+from hitl_jax.envs import WALKER, Command, make_pool
+
+WALKERS = 64
+WORKERS = 2
+REFERENCE = "official, one plain process"
+
+
+def measure_pool(seconds: float) -> list[Row]:
+    """Steps/s of each way to step `WALKERS` walkers, and as a multiple of one plain process."""
+    ways: dict[str, tuple[Callable[[], float], float | None]] = {
+        "official, one plain process of one walker": (lambda: _plain(1, 1, seconds), None),
+        REFERENCE: (lambda: _plain(1, WALKERS, seconds), None),
+        "official, two plain processes": (lambda: _plain(2, WALKERS // 2, seconds), None),
+        "--backend gymnasium (official), two workers": (lambda: _pool("gymnasium", seconds), 1.7),
+        "--backend lean, two workers": (lambda: _pool("lean", seconds), 4.0),
+        "--backend envpool, two threads": (lambda: _pool("envpool", seconds), 4.0),
+    }
+    rates: dict[str, list[float]] = {name: [] for name in ways}
+    missing: dict[str, str] = {}
+    for _ in range(REPEATS):
+        for name, (measure, _) in ways.items():
+            try:
+                rates[name].append(measure())
+            except ImportError as error:
+                missing[name] = str(error)
+    rows: list[Row] = []
+    for name, (_, bar) in ways.items():
+        row: Row = {"pool": name}
+        if name in missing:
+            row["pool"] = f"{name}: {missing[name]}"
+        else:
+            ratios = [a / b for a, b in zip(rates[name], rates[REFERENCE], strict=True)]
+            row["steps/s"] = round(statistics.median(rates[name]))
+            row["ratio"] = round(statistics.median(ratios), 2)
+            row["least"], row["most"] = round(min(ratios), 2), round(max(ratios), 2)
+        if bar is not None:
+            row["bar"] = bar
+        rows.append(row)
+    return rows
+
+
+def _plain(processes: int, walkers: int, seconds: float) -> float:
+    """Steps/s of plain loops in processes of their own, side by side."""
+    context = multiprocessing.get_context("spawn")
+    ready = context.Barrier(processes)
+    answers = context.SimpleQueue()
+    jobs = [
+        context.Process(target=_plain_steps, args=(ready, answers, walkers, seconds))
+        for _ in range(processes)
+    ]
+    for job in jobs:
+        job.start()
+    total = sum(answers.get() for _ in jobs)
+    for job in jobs:
+        job.join()
+    return total
+
+
+def _plain_steps(
+    ready: Barrier, answers: "SimpleQueue[float]", walkers: int, seconds: float
+) -> None:
+    envs = [gymnasium.make(WALKER, disable_env_checker=True) for _ in range(walkers)]
+    rng = np.random.default_rng(0)
+    for seed, env in enumerate(envs):
+        env.reset(seed=seed)
+    ready.wait()
+    steps, start = 0, time.perf_counter()
+    while time.perf_counter() - start < seconds:
+        for env, action in zip(envs, _actions(rng, walkers), strict=True):
+            _, _, terminated, truncated, _ = env.step(action)
+            if terminated or truncated:
+                env.reset()
+        steps += walkers
+    answers.put(steps / (time.perf_counter() - start))
+
+
+def _pool(backend: str, seconds: float) -> float:
+    rng = np.random.default_rng(0)
+    seeds = np.arange(WALKERS, dtype=np.uint32)
+    with make_pool(backend, WALKERS, WORKERS) as pool:
+        command = np.full(WALKERS, Command.RESET, np.uint8)
+        pool.step(command, _actions(rng, WALKERS), seeds)
+        command[:] = Command.STEP
+        steps, start = 0, time.perf_counter()
+        while time.perf_counter() - start < seconds:
+            answer = pool.step(command, _actions(rng, WALKERS), seeds)
+            steps += int((command == Command.STEP).sum())
+            ended = answer.terminated | answer.truncated
+            command = np.where(ended, Command.RESET, Command.STEP).astype(np.uint8)
+        return steps / (time.perf_counter() - start)
+
+
+def _actions(rng: np.random.Generator, walkers: int) -> np.ndarray:
+    return rng.uniform(-1, 1, (walkers, 4)).astype(np.float32)
