@@ -1,3 +1,4 @@
+import dataclasses
 import re
 
 import jax
@@ -5,6 +6,7 @@ import numpy as np
 import pytest
 from toy import ToyPool
 
+from experiments.benchmarks.timing import memory_mb
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.rollout import LoopConfig, Rollout, RunSpec, episode_seed
@@ -83,6 +85,26 @@ def test_nothing_is_compiled_again():
     first = int(np.flatnonzero(finished)[0])
     assert first < len(counts) - 1
     assert counts[first] == counts[-1]
+
+
+def test_memory_is_flat():
+    """Arrays of JAX to the byte; of the process, what the episodes' rows and the allocator take."""
+    specs = [
+        dataclasses.replace(_spec(method, seed), episodes=10**6)
+        for seed in range(2)
+        for method in Method
+    ]
+    rollout = iter(Rollout(make_agent(_CONFIG), specs, ToyPool(6), _LOOP, tile=2))
+    sizes = []
+    for chunks in (50, 200, 200):
+        for _ in range(chunks):
+            next(rollout)
+        arrays = sum(array.nbytes for array in jax.live_arrays())
+        sizes.append((arrays, len(jax.live_arrays()), memory_mb()))
+    *arrays, before = sizes[1]
+    *arrays_after, after = sizes[2]
+    assert arrays_after == arrays
+    assert after - before < 5
 
 
 def test_a_finished_run_takes_no_more_steps():
