@@ -67,14 +67,17 @@ class Programs(NamedTuple):
         seat: (seats, slot, hyper, key) to seats with a fresh run in `slot`; donates.
         seat_acting: (acting, slot, hyper, key) to acting with a fresh run in `slot`; donates.
         act: (acting, behavior, observation [R, O], live bool [R]) to (acting, packed [R, W + 6]).
-        learn: (seats, frames [R, U, W], slots int32 [R], count int32 [D]) to seats; donates. On
-            each device the first `count` of its `slots` learn, given as columns of that device.
+        learn: (seats, frames [R, U, W], slots int32 [R], count int32 [D]) to seats and a copy of
+            what acting needs of them; donates. On each device the first `count` of its `slots`
+            learn, given as columns of that device.
+        seat_behavior: (behavior, slot, row) to behavior, for a fresh run in `slot`; donates.
     """
 
     seat: Callable[..., Seats]
     seat_acting: Callable[..., Acting]
     act: Callable[..., tuple[Acting, chex.Array]]
-    learn: Callable[..., Seats]
+    learn: Callable[..., tuple[Seats, Behavior]]
+    seat_behavior: Callable[..., Behavior]
 
 
 def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, chex.PRNGKey]:
@@ -170,15 +173,15 @@ def make_programs(agent: Agent, mesh: Mesh, num_updates: int, tile: int) -> Prog
             hyper=_put(acting.hyper, slot, hyper),
         )
 
-    learn = functools.partial(_learn_local, agent, num_updates, tile)
     specs = _seat_specs()
     learn = jax.shard_map(
-        learn,
+        functools.partial(_learn_local, agent, num_updates, tile),
         mesh=mesh,
         in_specs=(specs, P(AXIS), P(AXIS), P(AXIS)),
-        out_specs=specs,
+        out_specs=(specs, P(AXIS)),
         check_vma=False,
     )
+    sharded = NamedSharding(mesh, P(AXIS))
     return Programs(
         seat=jax.jit(seat, donate_argnums=0, out_shardings=_seat_shardings(mesh)),
         seat_acting=jax.jit(seat_acting, donate_argnums=0),
@@ -186,8 +189,9 @@ def make_programs(agent: Agent, mesh: Mesh, num_updates: int, tile: int) -> Prog
         learn=jax.jit(
             learn,
             donate_argnums=0,
-            out_shardings=_seat_shardings(mesh),
+            out_shardings=(_seat_shardings(mesh), sharded),
         ),
+        seat_behavior=jax.jit(_put, donate_argnums=0, out_shardings=sharded),
     )
 
 
@@ -245,7 +249,7 @@ def _learn_local(
     frames: chex.Array,
     slots: chex.Array,
     count: chex.Array,
-) -> Seats:
+) -> tuple[Seats, Behavior]:
     """`learn` on one device: its own runs, its own list of slots, its own count [1]."""
     memory = replay.add(seats.memory, frames)
     slots = jnp.concatenate([slots, jnp.zeros((tile,), slots.dtype)])
@@ -267,7 +271,7 @@ def _learn_local(
 
     tiles = (count[0] + tile - 1) // tile
     train = jax.lax.fori_loop(0, tiles, learn_tile, seats.train)
-    return Seats(train=train, hyper=seats.hyper, memory=memory)
+    return Seats(train=train, hyper=seats.hyper, memory=memory), agents.behavior(train)
 
 
 def _take(chosen: chex.Array, leaf: chex.Array) -> chex.Array:

@@ -1,8 +1,10 @@
 """The host loop: walkers on one side, the learner on the other, both busy.
 
 Time is cut into ticks (one step of every walker) and chunks of U ticks. While the walkers play
-chunk i+1, the device learns from chunk i; the parameters that act in chunk i+1 are those learned up
-to chunk i−1. That lag is part of a run's definition: it is the same whatever the machine's speed.
+chunk i+1, the device learns from chunk i, or still from chunk i−1: up to `LAG` calls of the learner
+are under way, so that neither side waits for the other at the end of a chunk. The parameters that
+act in chunk i+1 are those learned up to chunk i−`LAG`. The lag is part of a run's definition: it is
+the same whatever the machine's speed.
 
 A slot is a column of the batch. Runs wait in a queue for a slot; a run that is done leaves its slot
 at once, and takes no more time. Nothing a run computes depends on its slot or on its neighbours.
@@ -16,6 +18,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax import agent as agents
@@ -29,6 +32,9 @@ from hitl_jax.types import Behavior, Params
 CPU_TILE = 3
 """Runs learned together on one CPU device: enough to share the cost of small operations, few enough
 to stay in cache."""
+
+LAG = 2
+"""Calls of the learner that may be under way while the walkers play; see the module."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -173,7 +179,8 @@ class Rollout:
         like = _typed(specs[0].hyper)
         self._seats = batch.empty_seats(agent, slots, config.frames, mesh, like)
         self._acting = batch.empty_acting(agent, slots, self._acting_device, like)
-        self._behavior = self._learned()
+        learned = agents.behavior(self._seats.train)
+        self._learned = deque(jax.tree.map(jnp.copy, learned) for _ in range(LAG + 1))
 
         self._queue = deque(specs)
         self._runs: list[Run | None] = [None] * slots
@@ -185,17 +192,14 @@ class Rollout:
         self._has_arbiter = np.zeros(slots, bool)
         self._observation = np.zeros((slots, pool.observation_size), np.float32)
         self._take = jax.jit(lambda tree, slot: jax.tree.map(lambda leaf: leaf[slot], tree))
-        self._replace = jax.jit(
-            lambda tree, slot, row: jax.tree.map(lambda a, b: a.at[slot].set(b), tree, row)
-        )
         for slot in self._slot_order():
             self._seat(slot)
+        self._behavior = self._to_acting(self._learned.popleft())
 
     def __iter__(self) -> Iterator[list[FinishedRun]]:
         """Plays chunk after chunk; gives the runs that finished in each."""
         while self._active.any():
             frames = self._play()
-            self._behavior = self._learned()  # Waits for the learner.
             finished = [run for run in self._runs if run is not None and run.done]
             results = [self._collect(run) for run in finished]
             self._learn(frames)
@@ -203,6 +207,7 @@ class Rollout:
             for run in finished:
                 self._runs[run.slot] = None
                 self._seat(run.slot)
+            self._behavior = self._to_acting(self._learned.popleft())  # Waits for the learner.
 
     def runs(self) -> list[Run]:
         """The runs under way, and those that have just been given as finished."""
@@ -224,8 +229,8 @@ class Rollout:
         acting_key = jax.device_put(acting, self._acting_device)
         self._acting = self._programs.seat_acting(self._acting, slot, hyper, acting_key)
         fresh = agents.behavior(self._take(self._seats.train, slot))
-        fresh = jax.device_put(fresh, self._acting_device)
-        self._behavior = self._replace(self._behavior, slot, fresh)
+        for index, waiting in enumerate(self._learned):
+            self._learned[index] = self._programs.seat_behavior(waiting, slot, fresh)
         self._runs[slot] = Run(spec=spec, slot=slot)
         self._counter.clear(slot)
         self._active[slot] = True
@@ -313,11 +318,11 @@ class Rollout:
                 slots[device * share + count[device]] = column
                 count[device] += 1
                 run.updates += self._num_updates
-        self._seats = self._programs.learn(self._seats, frames, slots, count)
+        self._seats, learned = self._programs.learn(self._seats, frames, slots, count)
+        self._learned.append(learned)
 
-    def _learned(self) -> Behavior:
-        """What acting needs of the batch, copied to the acting device."""
-        behavior = agents.behavior(self._seats.train)
+    def _to_acting(self, behavior: Behavior) -> Behavior:
+        """A copy on the acting device."""
         return jax.device_put(behavior, self._acting_device, may_alias=False)
 
     def _collect(self, run: Run) -> FinishedRun:

@@ -43,7 +43,7 @@ def _learn(runs, tile, mesh=None, skip=()):
             slots[device * share + count[device]] = column
             count[device] += 1
     for call in range(2):
-        seats = programs.learn(seats, _frames(runs, call), slots, count)
+        seats, _ = programs.learn(seats, _frames(runs, call), slots, count)
     train = jax.device_get(seats.train.learner)
     return {run: jax.tree.map(lambda leaf, s=slot: leaf[s], train) for slot, run in enumerate(runs)}
 
@@ -99,14 +99,14 @@ def test_the_ring_is_updated_in_place():
     programs = batch.make_programs(_AGENT, mesh, _UPDATES, 2)
     slots, count = np.zeros(4, np.int32), np.zeros(mesh.size, np.int32)
     frames = _frames(range(4))
-    seats = programs.learn(seats, frames, slots, count)
+    seats, _ = programs.learn(seats, frames, slots, count)
 
     def pointers():
         shards = seats.memory.frames.addressable_shards
         return [shard.data.unsafe_buffer_pointer() for shard in shards]
 
     before = pointers()
-    seats = programs.learn(seats, frames, slots, count)
+    seats, _ = programs.learn(seats, frames, slots, count)
     assert pointers() == before
 
 

@@ -77,11 +77,11 @@ def _learner_row(config: AgentConfig, runs: int, bar: float, seconds: float, til
     slots = np.tile(np.arange(share, dtype=np.int32), mesh.size)
     nobody, everybody = (np.full(mesh.size, n, np.int32) for n in (0, share))
     for _ in range(capacity // chunk):
-        seats = programs.learn(seats, frames, slots, nobody)
+        seats, _ = programs.learn(seats, frames, slots, nobody)
 
     def learn() -> Any:
         nonlocal seats
-        seats = programs.learn(seats, frames, slots, everybody)
+        seats, _ = programs.learn(seats, frames, slots, everybody)
         return seats.train.learner.actor
 
     took = best(learn, seconds)
