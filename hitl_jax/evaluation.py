@@ -65,7 +65,7 @@ class Evaluator:
         """
         hyper = frozen(hyper, human_present=mode == "assisted")
         # Committed to the acting device, the programs run there, a GPU or not.
-        params, key = jax.device_put((params, key), batch.acting_device())
+        hyper, params, key = jax.device_put((hyper, params, key), batch.acting_device())
         state = self._init(hyper, boundary, key, np.arange(len(seeds)))
         layout = self._agent.layout
         counter = EpisodeCounter(len(seeds))
