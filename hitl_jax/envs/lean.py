@@ -1,10 +1,10 @@
-"""Gymnasium's bipedal walker, the same numbers for less than half the time.
+"""Gymnasium's bipedal walker, the same numbers in half the time.
 
 The world and its solver are the official ones, Box2D through gymnasium's own class. What is done
 differently leaves every bit of an episode as it was:
 
-- The terrain is one static body with all edges instead of a body for each: the solver visits every
-  body at each step.
+- The edges of the terrain share a few static bodies instead of having one each: the solver visits
+  every body at each step.
 - Lidar over plain terrain is computed here, in Box2D's own order of float32 operations, for all
   walkers of a process at once; through Box2D each ray calls back into Python.
 - Observations and rewards are computed for all walkers at once.
@@ -36,6 +36,8 @@ _WINDOW = math.ceil(_REACH[0].max() / official.TERRAIN_STEP) + 3
 """Edges that a walker's rays may meet, with one to spare on either side."""
 
 _BODIES = 20
+"""Bodies that the edges share in turn. Contacts with one body are not independent of each other in
+Box2D; edges of one body are so far apart (9 m) that a walker (at most 5 m) meets one at a time."""
 
 # Elsewhere the compiler of Box2D may have fused a product and a sum, which rounds differently.
 _ROUNDS_ALIKE = platform.machine().lower() in ("x86_64", "amd64")
@@ -62,7 +64,7 @@ def _blank() -> Any:
 
 
 class _Walker(official.BipedalWalker):
-    """One walker, its terrain on one body; advanced and read from outside."""
+    """One walker, its terrain on few bodies; advanced and read from outside."""
 
     def __init__(self, hardcore: bool):
         super().__init__(hardcore=hardcore)
@@ -80,12 +82,16 @@ class _Walker(official.BipedalWalker):
         world, self.world = self.world, _Recorder()
         super()._generate_terrain(hardcore)
         recorder, self.world = self.world, world
+        obstacles = [vertices for kind, vertices in recorder.shapes if kind is self.fd_polygon]
+        edges = [vertices for kind, vertices in recorder.shapes if kind is self.fd_edge]
+        for vertices in obstacles:
+            self._polygon.shape.vertices = vertices
+            world.CreateStaticBody(fixtures=self._polygon)
         bodies = [world.CreateStaticBody() for _ in range(_BODIES)]
-        for place, (kind, vertices) in enumerate(recorder.shapes):
-            definition = self._edge if kind is self.fd_edge else self._polygon
-            definition.shape.vertices = vertices
-            bodies[place % _BODIES].CreateFixture(definition)
-        self.only_edges = all(kind is self.fd_edge for kind, _ in recorder.shapes)
+        for place, vertices in enumerate(edges):
+            self._edge.shape.vertices = vertices
+            bodies[place % _BODIES].CreateFixture(self._edge)
+        self.only_edges = not obstacles
 
     def step(self, action: np.ndarray) -> Any:
         """The step without motors that ends gymnasium's reset; what it saw is read from outside."""
@@ -100,7 +106,7 @@ class _Walker(official.BipedalWalker):
         self.world.Step(1.0 / official.FPS, 6 * 30, 2 * 30)
 
     def read(self) -> tuple[float, ...]:
-        """Place, velocity and angle of the hull, of the joints, contacts; see `_observe`."""
+        """Place, velocity and angle of the hull, of the joints, contacts; see `_answer`."""
         hull, legs = self.hull, self.legs
         assert hull is not None
         place, velocity = hull.position, hull.linearVelocity
@@ -181,7 +187,7 @@ class _Edges:
             offset_x = here_x + fraction * ray_x - start_x
             offset_y = here_y + fraction * ray_y - start_y
             share = (offset_x * along_x + offset_y * along_y) / square
-            # False for what is not a number: a ray along an edge.
+            # A ray along an edge gives what is not a number, and no hit.
             met = (fraction >= 0) & (fraction <= 1) & (share >= 0) & (share <= 1)
         return np.where(met, fraction, np.float32(1.0)).min(axis=2)
 
@@ -201,7 +207,7 @@ class LeanWalkers:
         """Makes the walkers; each waits for its first RESET.
 
         Args:
-            env_id: one of `WALKERS`.
+            env_id: one of `LEAN_WALKERS`.
             num_walkers: of this process.
         """
         spec = gymnasium.spec(env_id)
