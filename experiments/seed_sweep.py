@@ -6,7 +6,9 @@ is done.
 """
 
 import dataclasses
+import hashlib
 import math
+import pathlib
 import shlex
 import signal
 import subprocess
@@ -68,9 +70,11 @@ def main(options: SweepOptions) -> int:
             make_pool("envpool", 1).close()  # a missing extra is noticed before the folder is made
         command = shlex.join(["python", "-m", "experiments.seed_sweep", *sys.argv[1:]])
         try:
-            folder.create_or_resume(config, command)
+            changed = folder.create_or_resume(config, command)
         except ResultsError as error:
             raise BadInput(f"--out {error}") from error
+    if changed:
+        print(f"{options.out} was begun with other code: {', '.join(changed)}", flush=True)
     seeds = range(options.first_seed, options.first_seed + scale.seeds)
     wanted = [
         RunSpec(method, seed, hyper_for(method, options.hyper), scale.episodes)
@@ -259,12 +263,15 @@ def _make_agent(options: SweepOptions) -> Agent:
 
 def _config(options: SweepOptions) -> dict[str, Any]:
     """All that defines a run's numbers besides its method and seed."""
+    policy = options.human_policy
+    if policy is not None:  # What the file holds counts, not where it lies.
+        policy = "sha256:" + hashlib.sha256(pathlib.Path(policy).read_bytes()).hexdigest()
     return {
         "backend": options.backend,
         "episodes": options.scale().episodes,
         "test_episodes": options.scale().test_episodes,
         "alarm_window": ALARM_WINDOW,
-        "human_policy": options.human_policy,
+        "human_policy": policy,
         "agent": dataclasses.asdict(options.agent),
         "loop": dataclasses.asdict(options.loop),
         "hyper": dataclasses.asdict(options.hyper),

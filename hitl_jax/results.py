@@ -104,7 +104,7 @@ class ResultsFolder:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = pathlib.Path(path)
 
-    def create_or_resume(self, config: dict[str, Any], command: str) -> None:
+    def create_or_resume(self, config: dict[str, Any], command: str) -> list[str]:
         """Makes the folder, or makes sure that it holds results of the same config.
 
         On resuming, config.json keeps the first command and versions (each run.json has its own),
@@ -114,11 +114,15 @@ class ResultsFolder:
             config: all that defines the numbers: a nested dict of what JSON can hold, no NaN.
             command: the command line, for the record.
 
+        Returns:
+            What of commit and versions is not as it was when the folder was made.
+
         Raises:
             ConfigMismatch: if the folder was made with another config.
             ResultsError: if the folder holds something else, or cannot be written.
         """
         config = json.loads(_to_json(config))  # tuples become lists, as on the disk
+        provenance = {"versions": versions(), "commit": git_commit()}
         if self.path.exists() and not self.path.is_dir():
             raise ResultsError(f"{self.path}: is a file, not a folder")
         with named_errors(self.path):
@@ -128,7 +132,7 @@ class ResultsFolder:
             if (self.path / "config.json").exists():
                 _compare(self.path, self.load_config(), config)
                 remove_leftovers(self.path)
-                return
+                return _changes(_read_json(self.path / "config.json", ()), provenance)
             foreign = [p.name for p in self.path.iterdir() if not p.name.startswith(TEMPORARY)]
             if foreign:
                 raise ResultsError(
@@ -136,9 +140,9 @@ class ResultsFolder:
                     "name a new or an empty folder"
                 )
             remove_leftovers(self.path)
-        document = {"format": FORMAT, "config": config, "command": command}
-        document |= {"versions": versions(), "commit": git_commit()}
+        document = {"format": FORMAT, "config": config, "command": command} | provenance
         write_text_atomic(self.path / "config.json", _to_json(document))
+        return []
 
     def load_config(self) -> dict[str, Any]:
         """The config that the folder was made with.
@@ -292,6 +296,16 @@ def _compare(path: pathlib.Path, has: dict[str, Any], asked: dict[str, Any]) -> 
     more = [f"and {len(lines) - _MAX_DIFFERENCES} more"] * (len(lines) > _MAX_DIFFERENCES)
     shown = "; ".join(lines[:_MAX_DIFFERENCES] + more)
     raise ConfigMismatch(f"{path}: made with another config: {shown}")
+
+
+def _changes(document: dict[str, Any], provenance: dict[str, Any]) -> list[str]:
+    """Differences of commit and versions, a few words each."""
+    old, new = (
+        {"commit": source.get("commit"), **source.get("versions", {})}
+        for source in (document, provenance)
+    )
+    names = [name for name in old | new if old.get(name) != new.get(name)]
+    return [f"{name} {old.get(name)}, now {new.get(name)}" for name in names]
 
 
 def _parse_key(name: str) -> RunKey | None:

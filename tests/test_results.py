@@ -208,6 +208,17 @@ def test_the_same_config_resumes(folder):
     assert "seed_sweep" in (folder.path / "config.json").read_text()
 
 
+def test_other_code_is_told(folder, monkeypatch):
+    assert folder.create_or_resume(CONFIG, "again") == []
+    now = {"python": "9.9", "numpy": results.versions()["numpy"]}
+    monkeypatch.setattr(results, "versions", lambda: now)
+    monkeypatch.setattr(results, "git_commit", lambda: "abc")
+    told = folder.create_or_resume(CONFIG, "again")
+    assert told[0].startswith("commit ") and told[0].endswith(", now abc")
+    assert any(line.startswith("python 3.") and line.endswith(", now 9.9") for line in told)
+    assert not any(line.startswith("numpy") for line in told)
+
+
 def test_another_config_is_refused_by_its_differences(folder):
     other = {"agent": {"learner": "ddpg", "hidden_sizes": [128, 128]}, "hyper": {"tau": 1}}
     with pytest.raises(ConfigMismatch) as caught:

@@ -1,6 +1,7 @@
 """The learner beside the machine's own float32 matrix product."""
 
 import itertools
+import math
 from typing import Any
 
 import jax
@@ -63,7 +64,7 @@ def measure_learner(seconds: float, tile: int) -> list[Row]:
 def _learner_row(config: AgentConfig, runs: int, bar: float, seconds: float, tile: int) -> Row:
     agent = make_agent(config)
     mesh = batch.make_mesh()
-    runs = runs // mesh.size * mesh.size
+    runs = math.ceil(runs / mesh.size) * mesh.size
     chunk, updates, capacity = 16, 8, 16 * 256
     hyper = jax.tree.map(np.asarray, hyper_for(Method.HITL_AC, Hyper()))
     seats = batch.empty_seats(agent, runs, capacity, mesh, hyper)

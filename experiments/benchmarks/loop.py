@@ -1,5 +1,6 @@
 """The whole loop: rates, compiled programs and memory over time."""
 
+import math
 import time
 
 import jax
@@ -30,7 +31,8 @@ def measure_loop(seconds: float) -> list[Row]:
     jax.monitoring.register_event_duration_secs_listener(
         lambda event, *_, **__: compiled.append(event) if event.endswith(COMPILED) else None
     )
-    slots = len(specs) // batch.make_mesh().size * batch.make_mesh().size
+    devices = batch.make_mesh().size
+    slots = math.ceil(len(specs) / devices) * devices
     with make_pool("lean", slots, None) as pool:
         rollout = Rollout(agent, specs, pool, config)
         chunks = iter(rollout)
