@@ -43,11 +43,11 @@ def measure_loop(seconds: float) -> list[Row]:
             while time.perf_counter() - start < 2 * seconds:
                 next(chunks)
                 ticks += config.chunk
-            rate = ticks * slots / (time.perf_counter() - start)
+            rate = ticks * len(specs) / (time.perf_counter() - start)
             rows.append(
                 {
                     "part": part + 1,
-                    "runs": slots,
+                    "runs": len(specs),
                     "steps/s": round(rate),
                     "updates/s": round(rate * config.updates_per_step),
                     "programs compiled": len(compiled),
