@@ -9,8 +9,8 @@ import multiprocessing
 import statistics
 import time
 from collections.abc import Callable
-from multiprocessing.queues import SimpleQueue
-from multiprocessing.synchronize import Barrier
+from concurrent.futures import ProcessPoolExecutor
+from threading import Barrier
 
 import gymnasium
 import numpy as np
@@ -20,6 +20,7 @@ from hitl_jax.envs import WALKER, Command, make_pool
 
 WALKERS = 64
 WORKERS = 2
+START_SECONDS = 60.0
 REFERENCE = "official, one plain process"
 
 
@@ -60,23 +61,13 @@ def measure_pool(seconds: float) -> list[Row]:
 def _plain(processes: int, walkers: int, seconds: float) -> float:
     """Steps/s of plain loops in processes of their own, side by side."""
     context = multiprocessing.get_context("spawn")
-    ready = context.Barrier(processes)
-    answers = context.SimpleQueue()
-    jobs = [
-        context.Process(target=_plain_steps, args=(ready, answers, walkers, seconds))
-        for _ in range(processes)
-    ]
-    for job in jobs:
-        job.start()
-    total = sum(answers.get() for _ in jobs)
-    for job in jobs:
-        job.join()
-    return total
+    with context.Manager() as manager, ProcessPoolExecutor(processes, context) as executor:
+        ready = manager.Barrier(processes, timeout=START_SECONDS)
+        jobs = [executor.submit(_plain_steps, ready, walkers, seconds) for _ in range(processes)]
+        return sum(job.result() for job in jobs)
 
 
-def _plain_steps(
-    ready: Barrier, answers: "SimpleQueue[float]", walkers: int, seconds: float
-) -> None:
+def _plain_steps(ready: Barrier, walkers: int, seconds: float) -> float:
     envs = [gymnasium.make(WALKER, disable_env_checker=True) for _ in range(walkers)]
     rng = np.random.default_rng(0)
     for seed, env in enumerate(envs):
@@ -89,7 +80,7 @@ def _plain_steps(
             if terminated or truncated:
                 env.reset()
         steps += walkers
-    answers.put(steps / (time.perf_counter() - start))
+    return steps / (time.perf_counter() - start)
 
 
 def _pool(backend: str, seconds: float) -> float:
