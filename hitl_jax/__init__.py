@@ -8,15 +8,11 @@ import importlib
 from typing import Any
 
 _EXPORTS = {
+    "hitl_jax.acting": ("ActingState", "Decision", "act", "begin_episode", "init_acting"),
     "hitl_jax.agent": (
-        "ActingState",
         "Agent",
-        "Decision",
-        "act",
-        "begin_episode",
         "behavior",
         "init",
-        "init_acting",
         "learn",
         "make_agent",
         "update",

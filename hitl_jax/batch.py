@@ -24,7 +24,8 @@ from jax.sharding import PartitionSpec as P
 
 from hitl_jax import agent as agents
 from hitl_jax import replay
-from hitl_jax.agent import ActingState, Agent
+from hitl_jax.acting import ActingState, act, begin_episode, init_acting
+from hitl_jax.agent import Agent
 from hitl_jax.config import RunHyper
 from hitl_jax.types import Behavior, TrainState
 
@@ -144,7 +145,7 @@ def empty_acting(agent: Agent, num_runs: int, device: jax.Device, like: RunHyper
     """
 
     def make() -> Acting:
-        state = agents.init_acting(agent, like, jax.random.key(0))
+        state = init_acting(agent, like, jax.random.key(0))
         return Acting(state=_rows(state, num_runs), hyper=_rows(like, num_runs))
 
     return jax.jit(make, out_shardings=jax.sharding.SingleDeviceSharding(device))()
@@ -169,7 +170,7 @@ def make_programs(agent: Agent, mesh: Mesh, num_updates: int, tile: int) -> Prog
 
     def seat_acting(acting: Acting, slot: chex.Array, hyper: RunHyper, key: chex.PRNGKey) -> Acting:
         return Acting(
-            state=_put(acting.state, slot, agents.init_acting(agent, hyper, key)),
+            state=_put(acting.state, slot, init_acting(agent, hyper, key)),
             hyper=_put(acting.hyper, slot, hyper),
         )
 
@@ -217,8 +218,8 @@ def act_or_begin(
         The next acting state, and the packed frame with the decision behind it, [W + 6]: without
         the reward and the endings, which the plant has yet to tell.
     """
-    stepped, decision = agents.act(agent, hyper, params, state, observation)
-    begun = agents.begin_episode(agent, state)
+    stepped, decision = act(agent, hyper, params, state, observation)
+    begun = begin_episode(agent, state)
     state = jax.tree.map(functools.partial(jnp.where, live), stepped, begun)
     zero = jnp.zeros((), jnp.float32)
     scalars = [zero, zero, zero, 1.0 - live, decision.boundary, decision.next_boundary]

@@ -7,8 +7,8 @@ from typing import Literal
 import jax
 import numpy as np
 
-from hitl_jax import agent as agents
 from hitl_jax import batch
+from hitl_jax.acting import ActingState, init_acting
 from hitl_jax.agent import Agent
 from hitl_jax.config import RunHyper
 from hitl_jax.envs import Command, WalkerPool
@@ -104,11 +104,11 @@ class Evaluator:
 
     def _init_acting(
         self, hyper: RunHyper, boundary: jax.Array, key: jax.Array, episodes: jax.Array
-    ) -> agents.ActingState:
+    ) -> ActingState:
         """An acting state for each episode, leaves [N, ...]; its key depends on nothing else."""
 
-        def one(episode: jax.Array) -> agents.ActingState:
-            state = agents.init_acting(self._agent, hyper, jax.random.fold_in(key, episode))
+        def one(episode: jax.Array) -> ActingState:
+            state = init_acting(self._agent, hyper, jax.random.fold_in(key, episode))
             return dataclasses.replace(state, boundary=boundary)
 
         return jax.vmap(one)(episodes)

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from hitl_jax import acting, replay
 from hitl_jax import agent as agents
-from hitl_jax import replay
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 
 
@@ -81,11 +81,11 @@ def test_bootstraps_through_time_limits_and_not_through_ends(learner, n_step, en
 
 def _act_many(agent, hyper, observations, key=None):
     """Decisions along a sequence of observations [T, O]."""
-    state = agents.init_acting(agent, hyper, jax.random.key(0) if key is None else key)
+    state = acting.init_acting(agent, hyper, jax.random.key(0) if key is None else key)
     params = agents.behavior(agents.init(agent, jax.random.key(1)))
 
     def step(state, observation):
-        return agents.act(agent, hyper, params, state, observation)
+        return acting.act(agent, hyper, params, state, observation)
 
     return jax.jit(lambda s: jax.lax.scan(step, s, observations))(state)
 

@@ -1,0 +1,202 @@
+"""One run of the human-machine team: what it does at a step, to be vmapped by the caller."""
+
+import dataclasses
+
+import chex
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from hitl_jax import arbiter, boundary, human_actions
+from hitl_jax.agent import Agent
+from hitl_jax.config import RunHyper
+from hitl_jax.types import Behavior, Params
+
+
+@struct.dataclass
+class ActingState:
+    """What acting remembers in one run.
+
+    Attributes:
+        key: typed PRNG key of the run's acting, [].
+        steps: environment steps taken, int32 [].
+        noise: the action noise in units of its standard deviation, [A].
+        boundary: the boundary source's carry, [].
+        human: the human's state.
+        source: the state of the human's actions.
+        arbiter: the arbiter's state.
+    """
+
+    key: chex.PRNGKey
+    steps: chex.Array
+    noise: chex.Array
+    boundary: chex.Array
+    human: chex.ArrayTree
+    source: chex.ArrayTree
+    arbiter: arbiter.ArbiterState
+
+
+@struct.dataclass
+class Decision:
+    """What one run decided at one step.
+
+    Attributes:
+        action: the action to execute, [A].
+        control: u_t, bool [].
+        began: whether an intervention began, bool [].
+        human_action: whether `action` is the human's, bool [].
+        human_reset: whether the human ends the episode after this step, bool [].
+        alarmed: C, bool [].
+        dangerous: h_t = 0, bool [].
+        boundary: τ_t, [].
+        next_boundary: τ_{t+1}, [].
+        boundary_reward: r'_t, [].
+    """
+
+    action: chex.Array
+    control: chex.Array
+    began: chex.Array
+    human_action: chex.Array
+    human_reset: chex.Array
+    alarmed: chex.Array
+    dangerous: chex.Array
+    boundary: chex.Array
+    next_boundary: chex.Array
+    boundary_reward: chex.Array
+
+
+def init_acting(agent: Agent, hyper: RunHyper, key: chex.PRNGKey) -> ActingState:
+    """Acting at the first step of a run.
+
+    Args:
+        agent: the team.
+        hyper: the run's hyperparameters, scalars.
+        key: consumed, [].
+    """
+    source = boundary.get_source(agent.config.boundary_source)
+    initial = jnp.asarray(hyper.initial_boundary, jnp.float32)
+    return ActingState(
+        key=key,
+        steps=jnp.zeros((), jnp.int32),
+        noise=jnp.zeros((agent.config.action_size,)),
+        boundary=source.init(initial),
+        human=agent.human.init(),
+        source=agent.source.init(),
+        arbiter=arbiter.init(),
+    )
+
+
+def begin_episode(agent: Agent, state: ActingState) -> ActingState:
+    """Forgets what belongs to an episode; boundary, step count and attention go on."""
+    return dataclasses.replace(
+        state,
+        noise=jnp.zeros_like(state.noise),
+        human=agent.human.begin_episode(state.human),
+        source=agent.source.begin_episode(state.source),
+        arbiter=arbiter.init(),
+    )
+
+
+def act(
+    agent: Agent,
+    hyper: RunHyper,
+    params: Behavior,
+    state: ActingState,
+    observation: chex.Array,
+) -> tuple[ActingState, Decision]:
+    """One step of Algorithm 1 up to the plant: lines 4 to 8, and the choice of action.
+
+    Args:
+        agent: the team.
+        hyper: the run's hyperparameters, scalars.
+        params: what acting needs of the run's parameters.
+        state: the acting state.
+        observation: s_t, [O].
+
+    Returns:
+        The next acting state and the decision.
+    """
+    chex.assert_shape(observation, (agent.config.observation_size,))
+    key, noise_key, warmup_key, boundary_key, human_key, source_key = jax.random.split(state.key, 6)
+
+    noise, machine_action = _explore(agent, hyper, params.actor, state, observation, noise_key)
+    random_action = jax.random.uniform(warmup_key, machine_action.shape, minval=-1.0, maxval=1.0)
+    machine_action = jnp.where(state.steps < hyper.warmup_steps, random_action, machine_action)
+
+    boundary_now = _boundary(agent, hyper, params.boundary_actor, state, observation, boundary_key)
+    human_state, dangerous = agent.human.judge(
+        state.human, hyper.human, observation, jnp.zeros((), bool), human_key
+    )
+    alarmed = boundary.alarm(agent.indicator(observation), boundary_now)
+    alarmed = jnp.logical_and(alarmed, hyper.has_arbiter > 0)
+    after = boundary.next_boundary(
+        boundary_now, alarmed, dangerous, hyper.delta_minus, hyper.delta_plus
+    )
+    after = jnp.clip(after, hyper.boundary_low, hyper.boundary_high)
+    learns = hyper.learns_boundary > 0
+    after = jnp.where(learns, after, boundary_now)
+    source = boundary.get_source(agent.config.boundary_source)
+    carry = jnp.where(learns, source.advance(state.boundary, boundary_now, after), state.boundary)
+
+    objects = jnp.logical_and(dangerous, hyper.human_present > 0)
+    arbiter_state, ruling = arbiter.rule(
+        state.arbiter, agent.config.intervention, alarmed, objects, hyper.takeover_steps
+    )
+    hands = human_actions.with_noise(agent.source, hyper.human_action_noise)
+    source_state, human_action = hands.act(state.source, observation, source_key)
+
+    decision = Decision(
+        action=jnp.where(ruling.human_action, human_action, machine_action),
+        control=ruling.control,
+        began=ruling.began,
+        human_action=ruling.human_action,
+        human_reset=ruling.human_reset,
+        alarmed=alarmed,
+        dangerous=dangerous,
+        boundary=boundary_now,
+        next_boundary=after,
+        boundary_reward=boundary.boundary_reward(alarmed, dangerous, hyper.alarm_reward),
+    )
+    state = ActingState(
+        key=key,
+        steps=state.steps + 1,
+        noise=noise,
+        boundary=carry,
+        human=agent.human.notify(human_state, hyper.human, ruling.began, ruling.control),
+        source=source_state,
+        arbiter=arbiter_state,
+    )
+    return state, decision
+
+
+def _explore(
+    agent: Agent,
+    hyper: RunHyper,
+    actor: Params,
+    state: ActingState,
+    observation: chex.Array,
+    key: chex.PRNGKey,
+) -> tuple[chex.Array, chex.Array]:
+    """The next noise [A] and μ(s_t) plus that noise, [A]."""
+    rho = hyper.noise_correlation
+    fresh = jax.random.normal(key, state.noise.shape)
+    noise = rho * state.noise + jnp.sqrt(1.0 - rho**2) * fresh
+    action = agent.actor.apply(actor, observation) + hyper.exploration_noise * noise
+    return noise, jnp.clip(action, -1.0, 1.0)
+
+
+def _boundary(
+    agent: Agent,
+    hyper: RunHyper,
+    actor: Params,
+    state: ActingState,
+    observation: chex.Array,
+    key: chex.PRNGKey,
+) -> chex.Array:
+    """τ_t (line 6): from the boundary source where it is learned, τ_0 where it is fixed."""
+    source = boundary.get_source(agent.config.boundary_source)
+    noise = hyper.boundary_noise * jax.random.normal(key, ())
+    network = agent.network_boundary(hyper, actor, observation) + noise
+    learned = source.boundary(state.boundary, network)
+    learned = jnp.clip(learned, hyper.boundary_low, hyper.boundary_high)
+    return jnp.where(hyper.learns_boundary > 0, learned, hyper.initial_boundary)
