@@ -15,7 +15,9 @@ from rich.table import Table
 
 from experiments.benchmarks.learner import measure_learner
 from experiments.benchmarks.loop import measure_loop
+from experiments.benchmarks.peers import measure_peers
 from experiments.benchmarks.pool import measure_pool
+from experiments.benchmarks.scaling import draw_scaling, measure_scaling
 from experiments.benchmarks.timing import Row
 from experiments.cli import BadInput, run_main
 from experiments.devices import use_all_cores
@@ -29,14 +31,16 @@ class BenchmarkOptions:
     """Measure the learner, the pools of walkers and the whole loop on this machine.
 
     Attributes:
-        only: parts to measure: some of learner, pool, loop.
+        only: parts to measure: some of learner, pool, loop, scaling, peers.
         json: a file for the same numbers.
+        plot: a .png or .svg file for a picture of the part scaling.
         tile: runs vmapped together on one device.
         seconds: time for one measurement [s].
     """
 
-    only: tuple[str, ...] = ("learner", "pool", "loop")
+    only: tuple[str, ...] = ("learner", "pool", "loop", "scaling", "peers")
     json: str | None = None
+    plot: str | None = None
     tile: int = CPU_TILE
     seconds: float = 2.0
 
@@ -50,8 +54,14 @@ def main(options: BenchmarkOptions) -> int:
         raise BadInput(f"--tile {options.tile}: must be at least 1")
     if not options.seconds > 0:
         raise BadInput(f"--seconds {options.seconds}: must be above 0")
-    if options.json is not None and not pathlib.Path(options.json).resolve().parent.is_dir():
-        raise BadInput(f"--json {options.json}: its folder does not exist")
+    for name, file in (("json", options.json), ("plot", options.plot)):
+        if file is not None and not pathlib.Path(file).resolve().parent.is_dir():
+            raise BadInput(f"--{name} {file}: its folder does not exist")
+    if options.plot is not None:
+        if pathlib.Path(options.plot).suffix not in (".png", ".svg"):
+            raise BadInput(f"--plot {options.plot}: must end with .png or .svg")
+        if "scaling" not in options.only:
+            raise BadInput(f"--plot {options.plot}: needs the part scaling in --only")
     use_all_cores()
     console = Console(width=None if sys.stdout.isatty() else 120)
     report: dict[str, Any] = {"versions": versions(), "cores": num_cores()}
@@ -61,6 +71,8 @@ def main(options: BenchmarkOptions) -> int:
         _print(console, part, rows)
     if options.json is not None:
         pathlib.Path(options.json).write_text(json.dumps(report, indent=2) + "\n")
+    if options.plot is not None:
+        draw_scaling(report["scaling"], options.plot)
     return 0
 
 
@@ -68,6 +80,8 @@ PARTS: dict[str, Callable[[BenchmarkOptions], list[Row]]] = {
     "learner": lambda options: measure_learner(options.seconds, options.tile),
     "pool": lambda options: measure_pool(options.seconds),
     "loop": lambda options: measure_loop(options.seconds),
+    "scaling": lambda options: measure_scaling(options.seconds),
+    "peers": lambda options: measure_peers(options.seconds),
 }
 
 
@@ -75,7 +89,7 @@ def _print(console: Console, title: str, rows: list[Row]) -> None:
     names = list(dict.fromkeys(name for row in rows for name in row))
     table = Table(title=title, title_justify="left")
     for name in names:
-        table.add_column(name, justify="left" if name in ("pool", "network") else "right")
+        table.add_column(name, justify="left" if name in ("pool", "network", "peer") else "right")
     for row in rows:
         table.add_row(*(str(row.get(name, "")) for name in names))
     console.print(table)

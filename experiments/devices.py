@@ -1,6 +1,7 @@
 """How JAX uses this machine; called before the first array is made."""
 
 import os
+import pathlib
 
 import jax
 
@@ -16,3 +17,15 @@ def use_all_cores() -> None:
     """
     if "JAX_NUM_CPU_DEVICES" not in os.environ:
         jax.config.update("jax_num_cpu_devices", max(2, num_cores()) + 1)
+
+
+def keep_programs() -> None:
+    """Keeps compiled programs in the user's cache folder, for the next start.
+
+    JAX_COMPILATION_CACHE_DIR names another folder; JAX_ENABLE_COMPILATION_CACHE=false keeps none.
+    """
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        cache = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
+        jax.config.update("jax_compilation_cache_dir", str(pathlib.Path(cache) / "hitl_jax"))
+    # The default keeps only what took a second; a start has dozens of programs that take less.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

@@ -7,7 +7,6 @@ is done.
 
 import dataclasses
 import hashlib
-import math
 import pathlib
 import shlex
 import signal
@@ -20,7 +19,7 @@ import jax
 import numpy as np
 
 from experiments.cli import BadInput, checking_input, run_main
-from experiments.devices import use_all_cores
+from experiments.devices import keep_programs, use_all_cores
 from experiments.options import SweepOptions
 from experiments.progress import Progress
 from hitl_jax import batch, checkpoint, figures, human_actions
@@ -28,7 +27,7 @@ from hitl_jax.agent import Agent, make_agent
 from hitl_jax.config import Method, hyper_for
 from hitl_jax.envs import make_pool
 from hitl_jax.episodes import ALARM_WINDOW
-from hitl_jax.evaluation import Evaluator, Mode
+from hitl_jax.evaluation import Evaluator, Mode, evaluate_run
 from hitl_jax.files import ResultsError
 from hitl_jax.networks import Actor
 from hitl_jax.provenance import git_commit, versions
@@ -39,11 +38,10 @@ from hitl_jax.rollout import (
     Rollout,
     RunSpec,
     episode_seed,
-    method_index,
+    num_slots,
 )
 from hitl_jax.summary import write_summary
 from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
-from hitl_jax.types import Behavior
 
 FIRST_FIGURES_SECONDS = 100.0
 FIGURES_SECONDS = 120.0
@@ -84,6 +82,7 @@ def main(options: SweepOptions) -> int:
     finished = folder.finished()
     specs = [spec for spec in wanted if RunKey(spec.method, spec.seed) not in finished]
     use_all_cores()
+    keep_programs()
     sweep = _Sweep(options, agent, folder, config, len(wanted), specs)
     try:
         if specs:
@@ -134,7 +133,7 @@ class _Sweep:
         """Trains, tests and writes every run."""
         options = self._options
         devices = batch.make_mesh().size
-        slots = math.ceil(min(len(self._specs), options.slots) / devices) * devices
+        slots = num_slots(len(self._specs), options.slots)
         with (
             make_pool(options.backend, slots, options.workers, seed=self._seed("train")) as pool,
             make_pool(
@@ -195,23 +194,11 @@ class _Sweep:
         """Tests a trained run and writes it."""
         run = finished.run
         spec = run.spec
-        *_, test_key = batch.run_keys(spec.seed, method_index(spec.method))
-        params = Behavior(
-            actor=finished.train.learner.actor, boundary_actor=finished.train.boundary.actor
-        )
-        # The same terrain for every method: a paired comparison needs fewer episodes.
-        numbers = range(self._options.scale().test_episodes)
-        seeds = np.array([episode_seed("test", spec.seed, number) for number in numbers], np.uint32)
         modes: tuple[Mode, ...] = ("autonomous", "assisted")
         if spec.method is Method.SRL:
             modes = ("autonomous",)  # without an arbiter nobody can be asked
-        tests = [
-            row
-            for mode in modes
-            for row in evaluator.evaluate(
-                mode, spec.hyper, params, finished.boundary, test_key, seeds
-            )
-        ]
+        num_tests = self._options.scale().test_episodes
+        tests = evaluate_run(evaluator, finished, num_tests, modes)
         info = {
             "config": self._config,
             "wall_seconds": time.monotonic() - run.started,
@@ -233,7 +220,7 @@ class _Sweep:
         alone = np.mean([row["return"] for row in tests if row["mode"] == "autonomous"])
         self._progress.say(
             f"finished {spec.method} seed {spec.seed}: {run.env_steps:,} steps, "
-            f"test return {alone:.1f} over {len(numbers)} episodes"
+            f"test return {alone:.1f} over {num_tests} episodes"
         )
 
     def _draw_now_and_then(self) -> None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import operator
 from typing import NamedTuple
 
 import chex
@@ -145,7 +146,7 @@ def update(
     hyper: RunHyper,
     state: TrainState,
     batch: Transition,
-    key: chex.PRNGKey,
+    noise: chex.Array,
     update_actor: bool = True,
 ) -> tuple[TrainState, losses.Metrics]:
     """One update of the task learner: critics, and with `update_actor` actor and targets.
@@ -155,7 +156,7 @@ def update(
         hyper: the run's hyperparameters, scalars.
         state: the run's training state.
         batch: minibatch, leading axis B.
-        key: consumed by the target smoothing.
+        noise: standard normal ε of the target smoothing, [B, A]; DDPG does not look at it.
         update_actor: static; DDPG gives True at every update, TD3 at every second.
 
     Returns:
@@ -164,7 +165,6 @@ def update(
     learner = state.learner
     next_action = agent.actor.apply(learner.target_actor, batch.next_observation)
     if agent.config.smooths_target:
-        noise = jax.random.normal(key, batch.action.shape)
         next_action = losses.smoothed_action(
             next_action, noise, hyper.target_noise, hyper.target_noise_clip
         )
@@ -266,29 +266,29 @@ def learn(
             f"{num_updates} updates are no multiple of the policy delay {config.policy_delay}"
         )
 
-    def several(_: int, state: TrainState) -> TrainState:
-        for index in range(config.policy_delay):
-            key, sample_key, smoothing_key = jax.random.split(state.key, 3)
-            state = dataclasses.replace(state, key=key)
-            batch = replay.sample(
-                memory,
-                agent.layout,
-                column,
-                sample_key,
-                config.batch_size,
-                config.n_step,
-                hyper.gamma,
-            )
-            last = index == config.policy_delay - 1
-            state, _metrics = update(agent, hyper, state, batch, smoothing_key, update_actor=last)
-        return state
+    key, sample_key, noise_key, boundary_key = jax.random.split(state.key, 4)
+    # Everything random is drawn at once: a generator called for every minibatch would cost as much
+    # as a fifth of the arithmetic.
+    shape = (num_updates // config.policy_delay, config.policy_delay, config.batch_size)
+    draws = num_updates * config.batch_size
+    batches = replay.sample(
+        memory, agent.layout, column, sample_key, draws, config.n_step, hyper.gamma
+    )
+    batches = jax.tree.map(lambda leaf: leaf.reshape(shape + leaf.shape[1:]), batches)
+    noise = jax.random.normal(noise_key, (*shape, config.action_size))
 
-    state = jax.lax.fori_loop(0, num_updates // config.policy_delay, several, state)
-    key, boundary_key = jax.random.split(state.key)
+    def several(state: TrainState, drawn: tuple[Transition, chex.Array]) -> tuple[TrainState, None]:
+        for index in range(config.policy_delay):
+            batch, batch_noise = jax.tree.map(operator.itemgetter(index), drawn)
+            last = index == config.policy_delay - 1
+            state, _metrics = update(agent, hyper, state, batch, batch_noise, update_actor=last)
+        return state, None
+
+    state, _ = jax.lax.scan(several, dataclasses.replace(state, key=key), (batches, noise))
     pool = replay.sample_boundary(
         memory, agent.layout, column, boundary_key, config.boundary_batch_size, hyper.gamma
     )
-    state, _metrics = update_boundary(agent, hyper, dataclasses.replace(state, key=key), pool)
+    state, _metrics = update_boundary(agent, hyper, state, pool)
     return state
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 from typing import Literal
 
 import jax
@@ -13,6 +14,7 @@ from hitl_jax.agent import Agent
 from hitl_jax.config import RunHyper
 from hitl_jax.envs import Command, WalkerPool
 from hitl_jax.episodes import EpisodeCounter, Row, Step
+from hitl_jax.rollout import FinishedRun, episode_seed, method_index
 from hitl_jax.types import Behavior
 
 Mode = Literal["autonomous", "assisted"]
@@ -112,6 +114,36 @@ class Evaluator:
             return dataclasses.replace(state, boundary=boundary)
 
         return jax.vmap(one)(episodes)
+
+
+def evaluate_run(
+    evaluator: Evaluator, finished: FinishedRun, num_episodes: int, modes: Sequence[Mode]
+) -> list[Row]:
+    """Tests a run as training left it, on terrain that is the same for every method.
+
+    A paired comparison needs fewer episodes. Key and terrain depend on method and seed alone.
+
+    Args:
+        evaluator: its pool has a walker for each episode.
+        finished: the run.
+        num_episodes: N.
+        modes: which tests, in this order.
+
+    Returns:
+        A row for each mode and episode.
+    """
+    spec = finished.run.spec
+    *_, key = batch.run_keys(spec.seed, method_index(spec.method))
+    params = Behavior(
+        actor=finished.train.learner.actor, boundary_actor=finished.train.boundary.actor
+    )
+    numbers = range(num_episodes)
+    seeds = np.array([episode_seed("test", spec.seed, number) for number in numbers], np.uint32)
+    return [
+        row
+        for mode in modes
+        for row in evaluator.evaluate(mode, spec.hyper, params, finished.boundary, key, seeds)
+    ]
 
 
 def frozen(hyper: RunHyper, human_present: bool) -> RunHyper:

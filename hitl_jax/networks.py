@@ -45,8 +45,10 @@ class _StackedDense(nn.Module):
         shape = (self.num_members, x.shape[-1], self.features)
         kernel = self.param("kernel", _stacked_init, shape)
         bias = self.param("bias", nn.initializers.zeros, (self.num_members, 1, self.features))
-        members = "" if x.ndim == 2 else "e"
-        return jnp.einsum(f"{members}bi,eio->ebo", x, kernel) + bias
+        if x.ndim == 2:
+            # Shared, XLA would make [F, B] of it and transpose in every product that follows.
+            x = jnp.broadcast_to(x, (self.num_members, *x.shape))
+        return jnp.einsum("ebi,eio->ebo", x, kernel) + bias
 
 
 class Critics(nn.Module):

@@ -135,6 +135,21 @@ class FinishedRun:
     boundary: np.ndarray
 
 
+def num_slots(num_runs: int, most: int) -> int:
+    """Slots for `num_runs` runs: a power of two, but no more than `most`, over all devices.
+
+    Few sizes, so that programs compiled for one number of runs serve others; an empty slot costs
+    memory, no work.
+
+    Args:
+        num_runs: how many runs there are.
+        most: how many may be seated at a time, at least 1.
+    """
+    devices = batch.make_mesh().size
+    power = 2 ** math.ceil(math.log2(num_runs))
+    return math.ceil(min(power, most) / devices) * devices
+
+
 def method_index(method: Method) -> int:
     """A number for a method that does not depend on which methods run."""
     return list(Method).index(method)
@@ -201,7 +216,7 @@ class Rollout:
         while self._active.any():
             frames = self._play()
             finished = [run for run in self._runs if run is not None and run.done]
-            results = [self._collect(run) for run in finished]
+            results = [self.collect(run) for run in finished]
             self._learn(frames)
             yield results
             for run in finished:
@@ -212,6 +227,17 @@ class Rollout:
     def runs(self) -> list[Run]:
         """The runs under way, and those that have just been given as finished."""
         return [run for run in self._runs if run is not None]
+
+    def collect(self, run: Run) -> FinishedRun:
+        """What a run has become so far; for a run that is seated."""
+        train, acting = (
+            jax.device_get(self._take(tree, run.slot))
+            for tree in (
+                dataclasses.replace(self._seats.train, key=None),
+                self._acting.state.boundary,
+            )
+        )
+        return FinishedRun(run=run, train=train, boundary=acting)
 
     def _slot_order(self) -> list[int]:
         """Slots such that neighbours in the queue go to different devices."""
@@ -324,16 +350,6 @@ class Rollout:
     def _to_acting(self, behavior: Behavior) -> Behavior:
         """A copy on the acting device."""
         return jax.device_put(behavior, self._acting_device, may_alias=False)
-
-    def _collect(self, run: Run) -> FinishedRun:
-        train, acting = (
-            jax.device_get(self._take(tree, run.slot))
-            for tree in (
-                dataclasses.replace(self._seats.train, key=None),
-                self._acting.state.boundary,
-            )
-        )
-        return FinishedRun(run=run, train=train, boundary=acting)
 
 
 def _typed(hyper: RunHyper) -> RunHyper:

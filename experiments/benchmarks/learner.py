@@ -61,14 +61,16 @@ def measure_learner(seconds: float, tile: int) -> list[Row]:
     return rows
 
 
-def _learner_row(config: AgentConfig, runs: int, bar: float, seconds: float, tile: int) -> Row:
+def learner_rate(
+    config: AgentConfig, runs: int, num_updates: int, seconds: float, tile: int
+) -> float:
+    """Updates/s of all runs together, from a small replay."""
     agent = make_agent(config)
     mesh = batch.make_mesh()
-    runs = math.ceil(runs / mesh.size) * mesh.size
-    chunk, updates, capacity = 16, 8, 16 * 256
+    chunk, capacity = 16, 16 * 256
     hyper = jax.tree.map(np.asarray, hyper_for(Method.HITL_AC, Hyper()))
     seats = batch.empty_seats(agent, runs, capacity, mesh, hyper)
-    programs = batch.make_programs(agent, mesh, updates, tile)
+    programs = batch.make_programs(agent, mesh, num_updates, tile)
     for slot in range(runs):
         seats = programs.seat(seats, slot, hyper, jax.random.key(slot))
     layout = agent.layout
@@ -85,8 +87,12 @@ def _learner_row(config: AgentConfig, runs: int, bar: float, seconds: float, til
         seats, _ = programs.learn(seats, frames, slots, everybody)
         return seats.train.learner.actor
 
-    took = best(learn, seconds)
-    rate = runs * updates / took
+    return runs * num_updates / best(learn, seconds)
+
+
+def _learner_row(config: AgentConfig, runs: int, bar: float, seconds: float, tile: int) -> Row:
+    runs = math.ceil(runs / batch.make_mesh().size) * batch.make_mesh().size
+    rate = learner_rate(config, runs, 8, seconds, tile)
     achieved = rate * update_flops(config)
     return {
         "network": "x".join(map(str, config.hidden_sizes)),

@@ -27,12 +27,15 @@ REFERENCE = "official, one plain process"
 def measure_pool(seconds: float) -> list[Row]:
     """Steps/s of each way to step `WALKERS` walkers, and as a multiple of one plain process."""
     ways: dict[str, tuple[Callable[[], float], float | None]] = {
-        "official, one plain process of one walker": (lambda: _plain(1, 1, seconds), None),
-        REFERENCE: (lambda: _plain(1, WALKERS, seconds), None),
-        "official, two plain processes": (lambda: _plain(2, WALKERS // 2, seconds), None),
-        "--backend gymnasium (official), two workers": (lambda: _pool("gymnasium", seconds), 1.7),
-        "--backend lean, two workers": (lambda: _pool("lean", seconds), 4.0),
-        "--backend envpool, two threads": (lambda: _pool("envpool", seconds), 4.0),
+        "official, one plain process of one walker": (lambda: plain_rate(1, 1, seconds), None),
+        REFERENCE: (lambda: plain_rate(1, WALKERS, seconds), None),
+        "official, two plain processes": (lambda: plain_rate(2, WALKERS // 2, seconds), None),
+        "--backend gymnasium (official), two workers": (
+            lambda: pool_rate("gymnasium", seconds),
+            1.7,
+        ),
+        "--backend lean, two workers": (lambda: pool_rate("lean", seconds), 4.0),
+        "--backend envpool, two threads": (lambda: pool_rate("envpool", seconds), 4.0),
     }
     rates: dict[str, list[float]] = {name: [] for name in ways}
     missing: dict[str, str] = {}
@@ -58,7 +61,7 @@ def measure_pool(seconds: float) -> list[Row]:
     return rows
 
 
-def _plain(processes: int, walkers: int, seconds: float) -> float:
+def plain_rate(processes: int, walkers: int, seconds: float) -> float:
     """Steps/s of plain loops in processes of their own, side by side."""
     context = multiprocessing.get_context("spawn")
     with context.Manager() as manager, ProcessPoolExecutor(processes, context) as executor:
@@ -83,7 +86,8 @@ def _plain_steps(ready: Barrier, walkers: int, seconds: float) -> float:
     return steps / (time.perf_counter() - start)
 
 
-def _pool(backend: str, seconds: float) -> float:
+def pool_rate(backend: str, seconds: float) -> float:
+    """Steps/s of one of our pools."""
     rng = np.random.default_rng(0)
     seeds = np.arange(WALKERS, dtype=np.uint32)
     with make_pool(backend, WALKERS, WORKERS) as pool:

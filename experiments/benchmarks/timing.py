@@ -31,9 +31,12 @@ def best(call: Callable[[], Any], seconds: float) -> float:
 
 
 def memory_mb() -> float:
-    """Resident memory of this process now [MB]; its peak where /proc is missing."""
+    """Resident memory of this process and its children now [MB]; our own peak without /proc."""
     try:
-        pages = int(pathlib.Path("/proc/self/statm").read_text().split()[1])
+        tasks = pathlib.Path("/proc/self/task").glob("*/children")
+        processes = ["self", *" ".join(task.read_text() for task in tasks).split()]
+        files = [pathlib.Path(f"/proc/{process}/statm") for process in processes]
+        pages = sum(int(file.read_text().split()[1]) for file in files)
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
     except OSError:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3

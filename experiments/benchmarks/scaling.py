@@ -1,0 +1,139 @@
+"""How rates, memory and start-up grow with the number of runs.
+
+Each size is measured in a process of its own, started twice: first with an empty cache of compiled
+programs, then with the filled one.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from experiments.benchmarks.timing import Row, memory_mb
+from experiments.devices import keep_programs, use_all_cores
+from hitl_jax.agent import make_agent
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.envs import make_pool
+from hitl_jax.rollout import CPU_TILE, LoopConfig, Rollout, RunSpec, num_slots
+
+NUM_RUNS = (1, 3, 10, 30, 100)
+WARMUP_STEPS = 500
+SECOND_START_BAR = 15.0
+MEMORY_BAR = 16.0
+
+
+_PANELS: tuple[tuple[str, dict[str, str], float | None], ...] = (
+    ("rate of all runs [1/s]", {"steps/s": "environment steps", "updates/s": "updates"}, None),
+    ("cost of a step of one run [µs]", {"µs a run-step": "step and its updates"}, None),
+    ("memory [GB]", {"memory GB": "all processes"}, MEMORY_BAR),
+    (
+        "start to first steps [s]",
+        {"first start s": "first start", "second start s": "second start"},
+        SECOND_START_BAR,
+    ),
+)
+_LINES: tuple[dict[str, Any], ...] = (
+    {"color": "#0072B2"},
+    {"color": "#D55E00", "linestyle": "--"},
+)
+
+
+def measure_scaling(seconds: float) -> list[Row]:
+    """A row for each number of runs, at the defaults and with the whole replay allocated."""
+    rows: list[Row] = []
+    for runs in NUM_RUNS:
+        with tempfile.TemporaryDirectory() as cache:
+            first, second = (_started(runs, seconds, cache) for _ in range(2))
+        start = second.pop("start s")
+        rows.append(
+            {
+                **second,
+                "first start s": first["start s"],
+                "second start s": start,
+                "bar s": SECOND_START_BAR,
+            }
+        )
+        if runs == max(NUM_RUNS):
+            rows[-1]["bar GB"] = MEMORY_BAR
+    return rows
+
+
+def draw_scaling(rows: list[Row], path: str) -> None:
+    """A picture of the table, four panels over the number of runs.
+
+    Args:
+        rows: of `measure_scaling`.
+        path: a .png or .svg file.
+    """
+    figure = Figure(figsize=(7.2, 4.8), layout="constrained")
+    panels = figure.subplots(2, 2, sharex=True)
+    runs = [row["runs"] for row in rows]
+    for axes, (label, names, bar) in zip(panels.flat, _PANELS, strict=True):
+        for (name, shown), style in zip(names.items(), _LINES, strict=False):
+            values = [row[name] for row in rows]
+            axes.plot(runs, values, marker="o", markersize=4, label=shown, **style)
+        if bar is not None:
+            axes.axhline(bar, color="#444444", linewidth=0.8, linestyle=":", label="bar")
+        axes.set(ylabel=label, xscale="log", ylim=(0, None))
+        axes.set_xticks(runs, [str(number) for number in runs])
+        axes.minorticks_off()
+        axes.legend(frameon=False, fontsize=8)
+        axes.spines[["top", "right"]].set_visible(False)
+    for axes in panels[-1]:
+        axes.set_xlabel("runs at a time")
+    figure.savefig(path, dpi=200)
+
+
+def _started(runs: int, seconds: float, cache: str) -> Row:
+    command = [sys.executable, "-m", "experiments.benchmarks.scaling", str(runs), str(seconds)]
+    environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": cache}
+    answer = subprocess.run(
+        [*command, str(time.time())], env=environment, stdout=subprocess.PIPE, check=True, text=True
+    )
+    row: Row = json.loads(answer.stdout)
+    return row
+
+
+def _measure(runs: int, seconds: float, started: float) -> Row:
+    """One size in this process; `started` is when its parent asked for it [s since the epoch]."""
+    use_all_cores()
+    keep_programs()
+    config = LoopConfig()
+    agent = make_agent(AgentConfig())
+    hyper = Hyper(warmup_steps=WARMUP_STEPS)
+    methods = list(Method)
+    specs = []
+    for index in range(runs):
+        seed, method = divmod(index, len(methods))
+        specs.append(RunSpec(methods[method], seed, hyper_for(methods[method], hyper), 10**6))
+    with make_pool("lean", num_slots(runs, runs)) as pool:
+        rollout = Rollout(agent, specs, pool, config, CPU_TILE)
+        chunks = iter(rollout)
+        next(chunks)  # Every program has been compiled after one chunk.
+        start = time.time() - started
+        while rollout.runs()[0].ticks < 2 * WARMUP_STEPS:
+            next(chunks)
+        ticks, since = 0, time.perf_counter()
+        while time.perf_counter() - since < 5 * seconds:
+            next(chunks)
+            ticks += config.chunk
+        took = time.perf_counter() - since
+        memory = memory_mb()
+    rate = ticks * runs / took
+    return {
+        "runs": runs,
+        "steps/s": round(rate),
+        "updates/s": round(rate * config.updates_per_step),
+        "µs a run-step": round(1e6 / rate),
+        "memory GB": round(memory / 1e3, 2),
+        "start s": round(start, 1),
+    }
+
+
+if __name__ == "__main__":
+    print(json.dumps(_measure(int(sys.argv[1]), float(sys.argv[2]), float(sys.argv[3]))))
