@@ -27,6 +27,7 @@ _Changes = dict[str, Any]
 
 _BASE: _Changes = {
     "hidden_sizes": (128, 128),
+    "layer_norm": False,
     "batch_size": 128,
     "n_step": 4,
     "updates_per_step": 0.5,
@@ -39,6 +40,7 @@ CONFIGURATIONS: dict[str, _Changes] = {
     "128-batch-128": {},
     "64-batch-64-ratio-1": {"hidden_sizes": (64, 64), "batch_size": 64, "updates_per_step": 1.0},
     "128-batch-64": {"batch_size": 64},
+    "128-batch-64-norm": {"batch_size": 64, "layer_norm": True},
 }
 """What each configuration changes of `_BASE`, by the names of the options."""
 

@@ -49,12 +49,16 @@ class Agent(NamedTuple):
     @property
     def critic(self) -> networks.Critics:
         """Q."""
-        return networks.Critics(self.config.hidden_sizes, self.config.num_critics)
+        return self._critics(self.config.num_critics)
 
     @property
     def first_critic(self) -> networks.Critics:
         """Q_1, the critic that the actor follows."""
-        return networks.Critics(self.config.hidden_sizes, 1)
+        return self._critics(1)
+
+    def _critics(self, num_critics: int) -> networks.Critics:
+        config = self.config
+        return networks.Critics(config.hidden_sizes, num_critics, config.layer_norm)
 
     @property
     def boundary_actor(self) -> networks.BoundaryActor:

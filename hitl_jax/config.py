@@ -34,6 +34,7 @@ class AgentConfig:
     Attributes:
         learner: `ddpg` (one critic, plain target) or `td3` (two, smoothed target, delayed actor).
         hidden_sizes: widths of the task networks' hidden layers.
+        layer_norm: whether the task critics normalise their hidden layers.
         batch_size: transitions in a minibatch of the task learner.
         n_step: steps of reward before the bootstrap.
         boundary_source: how line 6 and line 8 of Algorithm 1 meet: `network`, `residual`, `rule`.
@@ -52,7 +53,8 @@ class AgentConfig:
 
     learner: str = "td3"
     hidden_sizes: tuple[int, ...] = (128, 128)
-    batch_size: int = 128
+    layer_norm: bool = True
+    batch_size: int = 64
     n_step: int = 4
     boundary_source: str = "rule"
     boundary_hidden_sizes: tuple[int, ...] = (32, 32)

@@ -57,10 +57,13 @@ class Critics(nn.Module):
     Attributes:
         hidden_sizes: widths of the hidden layers.
         num_critics: E.
+        layer_norm: whether hidden layers are normalised before their nonlinearity, without gain and
+            shift (https://arxiv.org/abs/1607.06450).
     """
 
     hidden_sizes: Sequence[int]
     num_critics: int
+    layer_norm: bool = False
 
     @nn.compact
     def __call__(self, observation: chex.Array, action: chex.Array) -> chex.Array:
@@ -68,7 +71,10 @@ class Critics(nn.Module):
         chex.assert_rank([observation, action], 2)
         x = jnp.concatenate([observation, action], axis=-1)
         for size in self.hidden_sizes:
-            x = nn.relu(_StackedDense(self.num_critics, size)(x))
+            x = _StackedDense(self.num_critics, size)(x)
+            if self.layer_norm:
+                x = nn.LayerNorm(use_bias=False, use_scale=False)(x)
+            x = nn.relu(x)
         return _StackedDense(self.num_critics, 1)(x)[..., 0]
 
 
