@@ -1,6 +1,7 @@
 """How near each part is to what this machine can do: `python -m experiments.benchmark`.
 
-Every ratio is of two figures of one run, since machines differ and are noisy.
+Every ratio is of two figures of one run, since machines differ and are noisy. Let nothing else run
+beside it. `scaling` and `peers` take some minutes each.
 """
 
 import dataclasses
@@ -22,16 +23,18 @@ from experiments.benchmarks.timing import Row
 from experiments.cli import BadInput, run_main
 from experiments.devices import use_all_cores
 from hitl_jax.envs import num_cores
+from hitl_jax.files import write_text_atomic
 from hitl_jax.provenance import versions
 from hitl_jax.rollout import CPU_TILE
 
 
 @dataclasses.dataclass(frozen=True)
 class BenchmarkOptions:
-    """Measure the learner, the pools of walkers and the whole loop on this machine.
+    """Measure learner, walkers and loop on this machine, their growth with runs, and their peers.
 
     Attributes:
-        only: parts to measure: some of learner, pool, loop, scaling, peers.
+        only: parts to measure: some of learner, pool, loop, scaling, peers (which needs the extra
+            `bench`).
         json: a file for the same numbers.
         plot: a .png or .svg file for a picture of the part scaling.
         tile: runs vmapped together on one device.
@@ -47,8 +50,8 @@ class BenchmarkOptions:
 
 def main(options: BenchmarkOptions) -> int:
     """Measures, prints a table a part, and writes JSON if asked."""
-    unknown = [part for part in options.only if part not in PARTS]
-    if unknown or not options.only:
+    parts = [part for given in options.only for part in given.split(",")]
+    if not parts or not PARTS.keys() >= set(parts):
         raise BadInput(f"--only {' '.join(options.only)}: must be some of {', '.join(PARTS)}")
     if options.tile < 1:
         raise BadInput(f"--tile {options.tile}: must be at least 1")
@@ -60,19 +63,19 @@ def main(options: BenchmarkOptions) -> int:
     if options.plot is not None:
         if pathlib.Path(options.plot).suffix not in (".png", ".svg"):
             raise BadInput(f"--plot {options.plot}: must end with .png or .svg")
-        if "scaling" not in options.only:
+        if "scaling" not in parts:
             raise BadInput(f"--plot {options.plot}: needs the part scaling in --only")
     use_all_cores()
     console = Console(width=None if sys.stdout.isatty() else 120)
     report: dict[str, Any] = {"versions": versions(), "cores": num_cores()}
-    for part in options.only:
+    for part in parts:
         rows = PARTS[part](options)
         report[part] = rows
         _print(console, part, rows)
-    if options.json is not None:
-        pathlib.Path(options.json).write_text(json.dumps(report, indent=2) + "\n")
-    if options.plot is not None:
-        draw_scaling(report["scaling"], options.plot)
+        if options.json is not None:
+            write_text_atomic(pathlib.Path(options.json), json.dumps(report, indent=2) + "\n")
+        if options.plot is not None and part == "scaling":
+            draw_scaling(rows, options.plot)
     return 0
 
 

@@ -197,8 +197,7 @@ class _Sweep:
         modes: tuple[Mode, ...] = ("autonomous", "assisted")
         if spec.method is Method.SRL:
             modes = ("autonomous",)  # without an arbiter nobody can be asked
-        num_tests = self._options.scale().test_episodes
-        tests = evaluate_run(evaluator, finished, num_tests, modes)
+        tests = evaluate_run(evaluator, finished, modes)
         info = {
             "config": self._config,
             "wall_seconds": time.monotonic() - run.started,
@@ -220,7 +219,7 @@ class _Sweep:
         alone = np.mean([row["return"] for row in tests if row["mode"] == "autonomous"])
         self._progress.say(
             f"finished {spec.method} seed {spec.seed}: {run.env_steps:,} steps, "
-            f"test return {alone:.1f} over {num_tests} episodes"
+            f"test return {alone:.1f} over {evaluator.num_episodes} episodes"
         )
 
     def _draw_now_and_then(self) -> None:

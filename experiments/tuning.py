@@ -1,7 +1,8 @@
 """What a learner's configuration costs and gives: `python -m experiments.tuning`.
 
-Every configuration gets the same environment steps, seeds and methods; the seeds are none of those
-that a sweep reports. What is done is kept, and skipped when the command is given again.
+Every configuration gets the same ticks (environment steps, and a tick for each reset), seeds and
+methods; the seeds are none of those that a sweep reports. What is done is kept, and skipped when
+the command is given again.
 """
 
 import dataclasses
@@ -21,6 +22,7 @@ from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require
 from hitl_jax.envs import make_pool
 from hitl_jax.evaluation import Evaluator, evaluate_run
+from hitl_jax.provenance import git_commit
 from hitl_jax.rollout import CPU_TILE, LoopConfig, Rollout, Run, RunSpec, num_slots
 
 _Changes = dict[str, Any]
@@ -34,13 +36,12 @@ _BASE: _Changes = {
 }
 
 CONFIGURATIONS: dict[str, _Changes] = {
-    "64-batch-128": {"hidden_sizes": (64, 64)},
-    "64-batch-128-ratio-1": {"hidden_sizes": (64, 64), "updates_per_step": 1.0},
-    "64-batch-128-n-8": {"hidden_sizes": (64, 64), "n_step": 8},
     "128-batch-128": {},
-    "64-batch-64-ratio-1": {"hidden_sizes": (64, 64), "batch_size": 64, "updates_per_step": 1.0},
     "128-batch-64": {"batch_size": 64},
     "128-batch-64-norm": {"batch_size": 64, "layer_norm": True},
+    "64-batch-128": {"hidden_sizes": (64, 64)},
+    "64-batch-128-ratio-1": {"hidden_sizes": (64, 64), "updates_per_step": 1.0},
+    "128-batch-64-norm-n-8": {"batch_size": 64, "layer_norm": True, "n_step": 8},
 }
 """What each configuration changes of `_BASE`, by the names of the options."""
 
@@ -53,63 +54,104 @@ class TuningOptions:
     """Train the three methods with several learners and compare return with time.
 
     Attributes:
-        configurations: which of those named in this module.
+        configurations: some of 128-batch-128, 128-batch-64, 128-batch-64-norm, 64-batch-128,
+            64-batch-128-ratio-1, 128-batch-64-norm-n-8 (hidden units, minibatch, what else).
         seeds: number of seeds for each method.
         first_seed: the first of them; a sweep reports others.
-        steps: environment steps of a run.
+        ticks: ticks of a run: environment steps and resets.
         test_episodes: autonomous test episodes of a run.
-        out: folder of the results, a file a configuration and a table of all.
+        out: folder of the results, a file a configuration and a table of those of equal budget.
     """
 
     configurations: Annotated[tuple[str, ...], tyro.conf.arg(name="only")] = tuple(CONFIGURATIONS)
     seeds: int = 5
     first_seed: int = 100
-    steps: int = 150_000
+    ticks: int = 150_000
     test_episodes: int = 20
     out: str = "runs/tuning"
 
 
 def main(options: TuningOptions) -> int:
     """Runs the configurations that are not done yet; prints and writes the table of all."""
-    with checking_input():
-        unknown = [name for name in options.configurations if name not in CONFIGURATIONS]
-        if unknown or not options.configurations:
-            given = " ".join(options.configurations) or "(none)"
-            raise BadInput(f"--only {given}: must be some of {', '.join(CONFIGURATIONS)}")
-        for name in ("seeds", "steps", "test_episodes"):
-            require(name, getattr(options, name), at_least=1)
-        require("first_seed", options.first_seed, at_least=0)
     out = pathlib.Path(options.out)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput(f"--out {options.out}: {error.strerror}") from error
+    with checking_input():
+        _check(options)
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            files.write_text_atomic(out / "tuning.md", _table(out, options))
+        except OSError as error:
+            raise BadInput(f"--out {options.out}: {error.strerror}") from error
     use_all_cores()
     keep_programs()
     for name in options.configurations:
+        agent, loop, hyper = _parts(_BASE | CONFIGURATIONS[name])
+        asked = {
+            "budget": _budget(options),
+            "agent": dataclasses.asdict(agent),
+            "loop": dataclasses.asdict(loop),
+            "hyper": dataclasses.asdict(hyper),
+        }
+        asked = json.loads(json.dumps(asked))  # as it will be read back
         path = out / f"{name}.json"
-        asked = dataclasses.asdict(dataclasses.replace(options, configurations=(name,)))
-        if path.exists() and json.loads(path.read_text())["asked"] == asked:
+        if (_load(path) or {}).get("asked") == asked:
             continue
-        measured = {"asked": asked, **_measure(name, options)}
-        files.write_text_atomic(path, json.dumps(measured, indent=1) + "\n")
-        files.write_text_atomic(out / "tuning.md", _table(out))
-    print(_table(out))
+        stages, tests = _measure(name, agent, loop, hyper, options)
+        done = {"asked": asked, "commit": git_commit(), "stages": stages, "tests": tests}
+        files.write_text_atomic(path, json.dumps(done, indent=1, allow_nan=False) + "\n")
+        files.write_text_atomic(out / "tuning.md", _table(out, options))
+    print(_table(out, options))
     return 0
 
 
-def _measure(name: str, options: TuningOptions) -> dict[str, Any]:
-    """Trains and tests every run of one configuration."""
-    changes = _BASE | CONFIGURATIONS[name]
-    agent = make_agent(_with(AgentConfig(), changes))
-    loop = _with(LoopConfig(), changes)
-    hyper = _with(Hyper(), changes)
+def _check(options: TuningOptions) -> None:
+    """Raises ValueError with one line for options that cannot be run."""
+    unknown = [name for name in options.configurations if name not in CONFIGURATIONS]
+    if unknown or not options.configurations:
+        given = " ".join(options.configurations) or "(none)"
+        raise ValueError(f"--only {given}: must be some of {', '.join(CONFIGURATIONS)}")
+    for name in ("seeds", "test_episodes"):
+        require(name, getattr(options, name), at_least=1)
+    require("ticks", options.ticks, at_least=_STAGES * LoopConfig().chunk)
+    require("first_seed", options.first_seed, at_least=0)
+
+
+def _parts(changes: _Changes) -> tuple[AgentConfig, LoopConfig, Hyper]:
+    """The configuration that some options make of the defaults."""
+    used: set[str] = set()
+
+    def change(default: Any) -> Any:
+        names = {field.name for field in dataclasses.fields(default)} & changes.keys()
+        used.update(names)
+        return dataclasses.replace(default, **{name: changes[name] for name in names})
+
+    parts = change(AgentConfig()), change(LoopConfig()), change(Hyper())
+    assert used == changes.keys(), f"no such option: {changes.keys() - used}"
+    return parts
+
+
+def _budget(options: TuningOptions) -> dict[str, int]:
+    """What must be equal for two configurations to be compared."""
+    names = ("seeds", "first_seed", "ticks", "test_episodes")
+    return {name: getattr(options, name) for name in names}
+
+
+def _measure(
+    name: str, config: AgentConfig, loop: LoopConfig, hyper: Hyper, options: TuningOptions
+) -> tuple[list[dict[str, Any]], dict[str, list[float]]]:
+    """Trains and tests every run of one configuration.
+
+    Returns:
+        Training returns after each third of the ticks, with the seconds since the warm-up ended;
+        mean test return of each run.
+    """
+    agent = make_agent(config)
     specs = [
-        RunSpec(method, seed, hyper_for(method, hyper), episodes=options.steps)
+        RunSpec(method, seed, hyper_for(method, hyper), episodes=options.ticks)
         for seed in range(options.first_seed, options.first_seed + options.seeds)
         for method in Method
     ]
     stages: list[dict[str, Any]] = []
+    tests: dict[str, list[float]] = {method: [] for method in Method}
     with (
         make_pool("lean", num_slots(len(specs), len(specs))) as pool,
         make_pool("lean", options.test_episodes) as test_pool,
@@ -118,54 +160,59 @@ def _measure(name: str, options: TuningOptions) -> dict[str, Any]:
         started = time.monotonic()
         for number, _ in enumerate(rollout, start=1):
             ticks = number * loop.chunk
-            if ticks * _STAGES >= options.steps * (len(stages) + 1):
+            if ticks <= hyper.warmup_steps:
+                started = time.monotonic()
+            if ticks * _STAGES >= options.ticks * (len(stages) + 1):
                 seconds = time.monotonic() - started
                 stages.append({"ticks": ticks, "seconds": seconds, **_returns(rollout.runs())})
                 print(name, json.dumps(stages[-1]), flush=True)
-            if ticks >= options.steps:
+            if ticks >= options.ticks:
                 break
         evaluator = Evaluator(agent, test_pool)
-        tests: dict[str, list[float]] = {method: [] for method in Method}
         for run in rollout.runs():
-            rows = evaluate_run(
-                evaluator, rollout.collect(run), options.test_episodes, ("autonomous",)
-            )
+            rows = evaluate_run(evaluator, rollout.collect(run), ("autonomous",))
             tests[run.spec.method].append(float(np.mean([row["return"] for row in rows])))
-    return {"changes": changes, "stages": stages, "tests": tests}
-
-
-def _with(config: Any, changes: _Changes) -> Any:
-    names = {field.name for field in dataclasses.fields(config)}
-    return dataclasses.replace(config, **{k: v for k, v in changes.items() if k in names})
+    return stages, tests
 
 
 def _returns(runs: list[Run]) -> dict[str, list[float]]:
-    """Mean of each run's latest training returns, by method."""
-    return {
-        method: [
-            float(np.mean([row["return"] for row in run.episodes[-_LAST_EPISODES:]]))
-            for run in runs
-            if run.spec.method == method
-        ]
-        for method in Method
-    }
+    """Mean of the latest training returns of each run that has one, by method."""
+    latest: dict[str, list[float]] = {method: [] for method in Method}
+    for run in runs:
+        if run.episodes:
+            returns = [row["return"] for row in run.episodes[-_LAST_EPISODES:]]
+            latest[run.spec.method].append(float(np.mean(returns)))
+    return latest
 
 
-def _table(out: pathlib.Path) -> str:
-    """Markdown: a row for each configuration in the folder."""
-    head = ["configuration", "run-steps/s", "minutes"]
+def _load(path: pathlib.Path) -> dict[str, Any] | None:
+    """What this command has written to a file; None where it has not."""
+    try:
+        data = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return None
+    known = isinstance(data, dict) and {"asked", "commit", "stages", "tests"} <= data.keys()
+    return data if known else None
+
+
+def _table(out: pathlib.Path, options: TuningOptions) -> str:
+    """Markdown: a row for each configuration in the folder that had the same budget."""
+    head = ["configuration", "commit", "ticks/s, all runs"]
     for method in Method:
-        head += [f"{method}: training by thirds", f"{method}: test"]
+        head += [f"{method}: training by thirds", f"{method}: test (least to most)"]
     lines = [head, ["---"] * len(head)]
     for path in sorted(out.glob("*.json")):
-        data = json.loads(path.read_text())
-        last = data["stages"][-1]
-        runs = sum(len(values) for values in data["tests"].values())
-        row = [path.stem, f"{last['ticks'] * runs / last['seconds']:,.0f}"]
-        row.append(f"{last['seconds'] / 60:.1f}")
+        data = _load(path)
+        if data is None or data["asked"]["budget"] != _budget(options):
+            continue
+        warmup = data["asked"]["hyper"]["warmup_steps"]
+        last, runs = data["stages"][-1], sum(map(len, data["tests"].values()))
+        rate = max(last["ticks"] - warmup, 0) * runs / last["seconds"]
+        row = [path.stem, (data["commit"] or "unknown")[:7], f"{rate:,.0f}"]
         for method in Method:
             tests = data["tests"][method]
-            row.append(", ".join(f"{np.mean(stage[method]):.0f}" for stage in data["stages"]))
+            thirds = [stage[method] for stage in data["stages"]]
+            row.append(", ".join(f"{np.mean(third):.0f}" if third else "–" for third in thirds))
             row.append(f"{np.mean(tests):.0f} ({min(tests):.0f} to {max(tests):.0f})")
         lines.append(row)
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)

@@ -43,6 +43,11 @@ class Evaluator:
         self._act = jax.jit(jax.vmap(step, in_axes=(None, None, 0, 0, 0)))
         self._init = jax.jit(self._init_acting)
 
+    @property
+    def num_episodes(self) -> int:
+        """Episodes of one test: the pool's walkers."""
+        return self._pool.num_walkers
+
     def evaluate(
         self,
         mode: Mode,
@@ -116,17 +121,15 @@ class Evaluator:
         return jax.vmap(one)(episodes)
 
 
-def evaluate_run(
-    evaluator: Evaluator, finished: FinishedRun, num_episodes: int, modes: Sequence[Mode]
-) -> list[Row]:
-    """Tests a run as training left it, on terrain that is the same for every method.
+def evaluate_run(evaluator: Evaluator, finished: FinishedRun, modes: Sequence[Mode]) -> list[Row]:
+    """Tests a run as training left it.
 
-    A paired comparison needs fewer episodes. Key and terrain depend on method and seed alone.
+    The terrain depends on the seed alone: a comparison that is paired over methods needs fewer
+    episodes.
 
     Args:
-        evaluator: its pool has a walker for each episode.
+        evaluator: plays an episode on each of its walkers.
         finished: the run.
-        num_episodes: N.
         modes: which tests, in this order.
 
     Returns:
@@ -137,7 +140,7 @@ def evaluate_run(
     params = Behavior(
         actor=finished.train.learner.actor, boundary_actor=finished.train.boundary.actor
     )
-    numbers = range(num_episodes)
+    numbers = range(evaluator.num_episodes)
     seeds = np.array([episode_seed("test", spec.seed, number) for number in numbers], np.uint32)
     return [
         row

@@ -63,7 +63,7 @@ class Critics(nn.Module):
 
     hidden_sizes: Sequence[int]
     num_critics: int
-    layer_norm: bool = False
+    layer_norm: bool
 
     @nn.compact
     def __call__(self, observation: chex.Array, action: chex.Array) -> chex.Array:

@@ -136,14 +136,14 @@ class FinishedRun:
 
 
 def num_slots(num_runs: int, most: int) -> int:
-    """Slots for `num_runs` runs: a power of two, but no more than `most`, over all devices.
+    """Slots for `num_runs` runs: a power of two, or `most`, rounded up to fill every device.
 
-    Few sizes, so that programs compiled for one number of runs serve others; an empty slot costs
-    memory, no work.
+    Few sizes, so that programs compiled for one number of runs serve others. An empty slot costs
+    memory and a little acting, no learning.
 
     Args:
-        num_runs: how many runs there are.
-        most: how many may be seated at a time, at least 1.
+        num_runs: how many runs there are, at least 1.
+        most: how many are wanted at a time, at least 1.
     """
     devices = batch.make_mesh().size
     power = 2 ** math.ceil(math.log2(num_runs))

@@ -1,23 +1,33 @@
 """What the benchmark counts and says; its figures are no test's business."""
 
+import subprocess
+import sys
+
 import pytest
+from toy import ToyPool
 
 from experiments.benchmark import BenchmarkOptions, main
-from experiments.benchmarks import peers
+from experiments.benchmarks import loop, peers, scaling
 from experiments.benchmarks.learner import update_flops
+from experiments.benchmarks.timing import memory_mb
 from experiments.cli import run_main
-from hitl_jax.config import AgentConfig
+from hitl_jax.agent import make_agent
+from hitl_jax.config import AgentConfig, Method
+from hitl_jax.rollout import LoopConfig, Rollout
 
 
 @pytest.mark.parametrize(
     ("args", "said"),
     [
         (["--only", "speed"], "--only speed: must be some of learner, pool, loop, scaling, peers"),
+        (["--only", "learner,speed"], "--only learner,speed: must be some of"),
         (["--only"], "--only"),
         (["--tile", "0"], "--tile 0: must be at least 1"),
         (["--seconds", "0"], "--seconds 0.0: must be above 0"),
         (["--json", "/no/such/folder/a.json"], "--json /no/such/folder/a.json"),
         (["--plot", "/no/such/folder/a.png"], "--plot /no/such/folder/a.png"),
+        (["--plot", "a.pdf"], "--plot a.pdf: must end with .png or .svg"),
+        (["--plot", "a.png", "--only", "loop"], "--plot a.png: needs the part scaling"),
     ],
 )
 def test_bad_input_is_one_line(args, said, capsys):
@@ -39,12 +49,48 @@ def test_flops_of_an_update_counted_by_hand():
 
 
 def test_a_missing_peer_is_named():
-    ways = [
-        ("theirs", "no-such-package", lambda _: 1.0),
-        ("ours", "hitl_jax", lambda _: 2.0),
-    ]
-    theirs, ours = peers._rows(ways, 1.0, ratio_to=0, bar=3.0)
+    ways = [("theirs", "no-such-package", lambda _: 1.0), ("ours", "hitl_jax", lambda _: 2.0)]
+    theirs, ours = peers._rows(ways, 1.0, turns=1, bar=3.0)
     assert "missing" in theirs["peer"]
     assert '".[bench]"' in theirs["peer"]
     assert ours["steps/s"] == 2
     assert "ratio" not in ours
+
+
+def test_ours_are_compared_with_the_best_of_the_others():
+    rates = {"jax": iter([3.0, 4.0, 9.0]), "numpy": iter([1.0, 1.0, 1.0])}
+    ways = [(name, name, lambda _, rate=rate: next(rate)) for name, rate in rates.items()]
+    ways.append(("ours", "hitl_jax", lambda _: 2.0))
+    *_, ours = peers._rows(ways, 1.0, turns=3, bar=3.0)
+    assert ours["ratio"] == 0.5  # to the median, 4
+    assert ours["bar"] == 3.0
+
+
+def test_growth_with_runs_is_drawn(tmp_path):
+    row = {"steps/s": 5000, "updates/s": 2500, "µs a run-step": 200, "memory GB": 1.2}
+    row |= {"first start s": 20.0, "second start s": 9.0}
+    scaling.draw_scaling([{"runs": runs, **row} for runs in (1, 10)], str(tmp_path / "a.png"))
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+def test_steps_of_a_stretch_are_counted_without_resets():
+    specs = loop.specs_of([Method.SRL, Method.HITL_AC], 4)
+    pool = ToyPool(4)
+    config = AgentConfig(hidden_sizes=(16,), batch_size=16)
+    rollout = Rollout(make_agent(config), specs, pool, LoopConfig(capacity=512))
+    chunks = iter(rollout)
+    next(chunks)
+    before = pool.steps
+    played = loop.play(rollout, chunks, 0.2)
+    # Between the end of an episode and its reset a walker has one tick to come.
+    assert abs(played.steps - (pool.steps - before)) <= 4
+    assert played.steps < 4 * played.ticks
+
+
+def test_memory_of_children_is_added():
+    command = [sys.executable, "-c", "print('up', flush=True); input()"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe) as child:
+        child.stdout.readline()
+        assert memory_mb(children=True) > memory_mb() + 2
+        child.communicate(b"\n")

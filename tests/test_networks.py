@@ -16,8 +16,9 @@ def test_actor_is_bounded():
     assert (jnp.abs(action) <= 1).all()
 
 
-def test_each_stacked_critic_equals_its_own_network():
-    critics = networks.Critics((16, 8), 2)
+@pytest.mark.parametrize("layer_norm", [False, True])
+def test_each_stacked_critic_equals_its_own_network(layer_norm):
+    critics = networks.Critics((16, 8), 2, layer_norm)
     observation, action = jax.random.normal(_KEY, (5, 3)), jnp.ones((5, 2))
     params = critics.init(_KEY, observation, action)
     together = critics.apply(params, observation, action)
@@ -25,12 +26,22 @@ def test_each_stacked_critic_equals_its_own_network():
     assert not np.allclose(together[0], together[1])
     for member in range(2):
         alone = jax.tree.map(lambda leaf, m=member: leaf[m : m + 1], params)
-        single = networks.Critics((16, 8), 1).apply(alone, observation, action)
+        single = networks.Critics((16, 8), 1, layer_norm).apply(alone, observation, action)
         np.testing.assert_allclose(single[0], together[member], rtol=1e-5, atol=1e-6)
 
 
+def test_normalised_critics_do_not_feel_the_size_of_their_input():
+    critics = networks.Critics((16,), 1, layer_norm=True)
+    observation, action = jax.random.normal(_KEY, (5, 3)), jnp.ones((5, 2))
+    params = critics.init(_KEY, observation, action)
+    q = critics.apply(params, observation, action)
+    np.testing.assert_allclose(critics.apply(params, 9 * observation, 9 * action), q, rtol=1e-3)
+
+
 def test_stacked_initialisation_has_the_scale_of_one_layer():
-    params = networks.Critics((64,), 2).init(_KEY, jnp.zeros((1, 90)), jnp.zeros((1, 10)))
+    params = networks.Critics((64,), 2, layer_norm=False).init(
+        _KEY, jnp.zeros((1, 90)), jnp.zeros((1, 10))
+    )
     kernel = params["params"]["_StackedDense_0"]["kernel"]
     # Uniform in ±1/sqrt(100): standard deviation 0.1/sqrt(3) = 0.0577.
     np.testing.assert_allclose(kernel.std(), 0.0577, atol=0.002)

@@ -9,7 +9,7 @@ from toy import ToyPool
 from experiments.benchmarks.timing import memory_mb
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.rollout import LoopConfig, Rollout, RunSpec, episode_seed
+from hitl_jax.rollout import LoopConfig, Rollout, RunSpec, episode_seed, num_slots
 
 _CONFIG = AgentConfig(hidden_sizes=(16, 16), batch_size=16, n_step=2)
 _HYPER = Hyper(warmup_steps=64, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
@@ -146,3 +146,10 @@ def test_bad_loop(change, message):
 def test_updates_of_a_chunk_must_be_whole():
     with pytest.raises(ValueError, match=r"--updates-per-step 0\.3"):
         LoopConfig(updates_per_step=0.3).num_updates(2)
+
+
+def test_there_are_few_numbers_of_slots():
+    """Powers of two, no more than asked for, a multiple of the two devices that learn."""
+    assert [num_slots(runs, 32) for runs in (1, 2, 3, 10, 30, 40)] == [2, 2, 4, 16, 32, 32]
+    assert num_slots(30, 30) == 30
+    assert num_slots(5, 1) == 2

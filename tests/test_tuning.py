@@ -13,7 +13,7 @@ def _run(*args):
 def test_measures_once_and_tabulates(tmp_path, capsys, monkeypatch):
     changes = {"hidden_sizes": (16,), "batch_size": 16, "warmup_steps": 100}
     monkeypatch.setitem(tuning.CONFIGURATIONS, "tiny", changes)
-    args = ["--only", "tiny", "--seeds", "1", "--steps", "200", "--test-episodes", "2"]
+    args = ["--only", "tiny", "--seeds", "1", "--ticks", "208", "--test-episodes", "2"]
     args += ["--out", str(tmp_path)]
     assert _run(*args) == 0
     first = capsys.readouterr().out
@@ -21,6 +21,21 @@ def test_measures_once_and_tabulates(tmp_path, capsys, monkeypatch):
     assert "| tiny |" in (tmp_path / "tuning.md").read_text()
     assert _run(*args) == 0
     assert capsys.readouterr().out.count('{"ticks"') == 0
+    (tmp_path / "foreign.json").write_text("{}")
+    assert _run(*args[:-2], "--out", str(tmp_path), "--test-episodes", "1") == 0
+    other = capsys.readouterr().out
+    assert other.count('{"ticks"') == 3  # another budget is another comparison
+    assert "foreign" not in other
+
+
+def test_a_misspelt_option_is_not_passed_over():
+    with pytest.raises(AssertionError, match="btach_size"):
+        tuning._parts({"btach_size": 1})
+
+
+def test_every_configuration_can_be_made():
+    for changes in tuning.CONFIGURATIONS.values():
+        tuning._parts(changes)
 
 
 @pytest.mark.parametrize(
@@ -28,6 +43,7 @@ def test_measures_once_and_tabulates(tmp_path, capsys, monkeypatch):
     [
         (["--only", "huge"], "--only huge: must be some of"),
         (["--seeds", "0"], "--seeds 0: must be at least 1"),
+        (["--ticks", "10"], "--ticks 10: must be at least 48"),
         (["--out", "/dev/null/x"], "--out /dev/null/x"),
     ],
 )

@@ -1,81 +1,120 @@
-"""The whole loop beside its bound: what learner and walkers need when each has the cores alone."""
+"""The whole loop beside the sum of its parts: learner and walkers, each with the cores alone."""
 
-import math
 import time
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from experiments.benchmarks.learner import learner_rate
-from experiments.benchmarks.timing import REPEATS, Row, memory_mb
-from hitl_jax import batch
+from experiments.benchmarks.learner import make_learner
+from experiments.benchmarks.timing import REPEATS, Row, best, memory_mb
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs import StepBatch, WalkerPool, make_pool
-from hitl_jax.rollout import CPU_TILE, LoopConfig, Rollout, RunSpec
+from hitl_jax.rollout import CPU_TILE, LoopConfig, Rollout, RunSpec, num_slots
 
 COMPILED = "backend_compile_duration"
 """End of the name of the event that JAX reports for each program that XLA compiles."""
 
+RUNS = 30
+WARMUP_STEPS = 500
 BAR = 0.9
 
 _Tick = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def measure_loop(seconds: float) -> list[Row]:
-    """Rates, compiled programs and memory over time, at the defaults.
+class Played(NamedTuple):
+    """What a stretch of the loop did.
 
-    The bound of a stretch is the time that its updates take alone and its ticks take alone, each
-    with all cores: acting, bookkeeping and waiting are what is lost.
+    Attributes:
+        ticks: of every run.
+        steps: environment steps of all runs together; a tick that resets a walker is none.
+        seconds: until the last update of the stretch was done.
+    """
+
+    ticks: int
+    steps: int
+    seconds: float
+
+
+def specs_of(methods: list[Method], num_runs: int) -> list[RunSpec]:
+    """Runs without an end, the methods in turn, that learn after a short warm-up."""
+    hyper = Hyper(warmup_steps=WARMUP_STEPS)
+    specs = []
+    for index in range(num_runs):
+        seed, method = divmod(index, len(methods))
+        specs.append(RunSpec(methods[method], seed, hyper_for(methods[method], hyper), 10**9))
+    return specs
+
+
+def warm_up(rollout: Rollout, chunks: Iterator[Any]) -> None:
+    """Plays until every run learns; the first chunk compiles every program."""
+    next(chunks)
+    while rollout.runs()[0].ticks < 2 * WARMUP_STEPS:
+        next(chunks)
+
+
+def play(rollout: Rollout, chunks: Iterator[Any], seconds: float) -> Played:
+    """Plays for some seconds; the learner has nothing to do before, and nothing left after."""
+
+    def state() -> tuple[int, int]:
+        runs = rollout.runs()
+        rollout.collect(runs[0])  # Waits for the learner.
+        return runs[0].ticks, sum(run.ticks - len(run.episodes) for run in runs)
+
+    ticks, steps = state()
+    start = time.perf_counter()
+    while time.perf_counter() - start < seconds:
+        next(chunks)
+    ticks_after, steps_after = state()
+    return Played(ticks_after - ticks, steps_after - steps, time.perf_counter() - start)
+
+
+def measure_loop(seconds: float) -> list[Row]:
+    """Rates, compiled programs and memory over time: the default learner with a small replay.
+
+    Beside it what its updates and its ticks take alone, each with all cores; acting, bookkeeping
+    and waiting are what the loop adds.
     """
     config = LoopConfig(capacity=20_000)
     agent = make_agent(AgentConfig())
-    hyper = Hyper(warmup_steps=500)
-    specs = [
-        RunSpec(method, seed, hyper_for(method, hyper), 10**6)
-        for seed in range(10)
-        for method in Method
-    ]
     compiled: list[str] = []
     jax.monitoring.register_event_duration_secs_listener(
         lambda event, *_, **__: compiled.append(event) if event.endswith(COMPILED) else None
     )
-    devices = batch.make_mesh().size
-    slots = math.ceil(len(specs) / devices) * devices
+    slots = num_slots(RUNS, RUNS)
+    num_updates = config.num_updates(agent.config.policy_delay)
+    learn = make_learner(agent.config, slots, num_updates, CPU_TILE)
     rows: list[Row] = []
     with make_pool("lean", slots) as inner, make_pool("lean", slots) as again:
         pool = _Recorded(inner)
-        rollout = Rollout(agent, specs, pool, config)
+        rollout = Rollout(agent, specs_of(list(Method), RUNS), pool, config)
         chunks = iter(rollout)
-        for _ in range(2 * (hyper.warmup_steps // config.chunk + 2)):
-            next(chunks)
+        warm_up(rollout, chunks)
+        play(rollout, chunks, seconds)
         _replay(again, pool.ticks)
         for part in range(REPEATS):
             programs = len(compiled)
-            start, ticks = time.perf_counter(), 0
-            while time.perf_counter() - start < 2 * seconds:
-                next(chunks)
-                ticks += config.chunk
-            took = time.perf_counter() - start
-            programs = len(compiled) - programs
+            played = play(rollout, chunks, 2 * seconds)
+            programs, memory = len(compiled) - programs, memory_mb()
             walking = _replay(again, pool.ticks)
-            num_updates = config.num_updates(agent.config.policy_delay)
-            rate = learner_rate(agent.config, slots, num_updates, seconds, CPU_TILE)
-            learning = ticks * config.updates_per_step * len(specs) / rate
+            learning = best(learn, seconds) * played.ticks / config.chunk
             rows.append(
                 {
                     "part": part + 1,
-                    "runs": len(specs),
-                    "steps/s": round(ticks * len(specs) / took),
-                    "updates/s": round(ticks * len(specs) * config.updates_per_step / took),
+                    "runs": RUNS,
+                    "steps/s": round(played.steps / played.seconds),
+                    "updates/s": round(
+                        played.ticks * RUNS * config.updates_per_step / played.seconds
+                    ),
                     "learner s": round(learning, 2),
                     "walkers s": round(walking, 2),
-                    "loop s": round(took, 2),
-                    "share of bound": round((learning + walking) / took, 3),
+                    "loop s": round(played.seconds, 2),
+                    "parts / loop": round((learning + walking) / played.seconds, 3),
                     "bar": BAR,
                     "programs compiled": programs,
-                    "memory MB": round(memory_mb()),
+                    "memory MB": round(memory),
                 }
             )
     return rows

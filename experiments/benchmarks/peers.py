@@ -1,11 +1,16 @@
 """What a researcher would use instead, side by side: SBX's TD3, and other ways to step walkers.
 
-SBX plays and learns one run a process: it is measured in one process and in two at once. We play 30
-runs of the same network, batch and update ratio. Rates are environment steps of all runs together.
+SBX plays and learns one run a process, one process a core, each kept to its core; once with an
+update after each step and once with sixteen after sixteen, which it compiles into one call. We play
+30 runs of the same network (no normalisation), batch, n and update ratio, on the official walker
+and on the lean one. What still differs: SBX moves its targets at every update, we at every second,
+and its actor follows the lesser of both critics, ours the first, as in TD3's paper.
 """
 
 import importlib.metadata
 import multiprocessing
+import os
+import statistics
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -14,78 +19,113 @@ from threading import Barrier
 
 import numpy as np
 
-from experiments.benchmarks.pool import WALKERS, WORKERS, plain_rate, pool_rate
+from experiments.benchmarks.loop import WARMUP_STEPS, play, specs_of, warm_up
+from experiments.benchmarks.pool import WALKERS, plain_rate, pool_rate
 from experiments.benchmarks.timing import Row
 from hitl_jax.agent import make_agent
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.envs import WALKER, make_pool
-from hitl_jax.rollout import LoopConfig, Rollout, RunSpec, num_slots
+from hitl_jax.config import AgentConfig, Method
+from hitl_jax.envs import WALKER, make_pool, num_cores
+from hitl_jax.rollout import LoopConfig, Rollout, num_slots
 
 RUNS = 30
-WARMUP_STEPS = 500
+TOGETHER = 16
+"""Updates in one compiled call, ours and SBX's."""
+
 START_SECONDS = 300.0
 VECTOR_WALKERS = 16
 """Walkers of AsyncVectorEnv: it starts a process for each."""
 
 _SIZES = ((128, 128, 3.0), (256, 256, 1.7))
-"""Width, batch, and how many times SBX's rate in two processes ours must be."""
+"""Width, batch, and how many times SBX's best rate ours must be."""
 
 _Way = tuple[str, str, Callable[[float], float]]
 """Name, package, and what measures its rate in some seconds."""
 
 
 def measure_peers(seconds: float) -> list[Row]:
-    """Steps/s of each; `ratio` is ours to the row above it, and says which bar it has."""
+    """Environment steps/s of each, all runs together; `ratio` is to the best of the others."""
+    cores = num_cores()
     rows: list[Row] = []
     for width, batch_size, bar in _SIZES:
-        learner = f"[{width}, {width}], batch {batch_size}, 1 update a step"
-        ways: list[_Way] = [
-            (f"SBX TD3 {learner}, one process", "sbx-rl", partial(_sbx, 1, width, batch_size)),
-            (f"SBX TD3 {learner}, two processes", "sbx-rl", partial(_sbx, 2, width, batch_size)),
-            (f"hitl_jax {learner}, {RUNS} runs", "hitl_jax", partial(_ours, width, batch_size)),
-        ]
-        rows += _rows(ways, 5 * seconds, ratio_to=1, bar=bar)
-    ways = [
-        ("gymnasium, plain loop", "gymnasium", partial(plain_rate, 1, WALKERS)),
-        (f"gymnasium AsyncVectorEnv, {VECTOR_WALKERS} walkers", "gymnasium", _vector),
-        ("EnvPool, two threads", "envpool", partial(pool_rate, "envpool")),
-        (f"hitl_jax lean, {WORKERS} workers", "hitl_jax", partial(pool_rate, "lean")),
-    ]
-    rows += _rows(ways, seconds, ratio_to=2, bar=0.8)
+        learner = f"[{width}, {width}], batch {batch_size}"
+        sbx = partial(_sbx, width, batch_size)
+        ours = partial(_ours, width, batch_size)
+        many, official = f"{cores} processes", "official walker"
+        rows += _rows(
+            [
+                (f"SBX TD3 {learner}, one process", "sbx-rl", partial(sbx, 1, 1)),
+                (f"SBX TD3 {learner}, {many}", "sbx-rl", partial(sbx, cores, 1)),
+                (f"SBX TD3 {learner}, {many}, by 16", "sbx-rl", partial(sbx, cores, TOGETHER)),
+                (f"hitl_jax {learner}, {official}", "hitl_jax", partial(ours, "gymnasium")),
+                (f"hitl_jax {learner}", "hitl_jax", partial(ours, "lean")),
+            ],
+            5 * seconds,
+            turns=1,
+            bar=bar,
+        )
+    rows += _rows(
+        [
+            ("gymnasium, plain loop", "gymnasium", partial(plain_rate, 1, WALKERS)),
+            (f"gymnasium AsyncVectorEnv of {VECTOR_WALKERS}", "gymnasium", _vector),
+            (f"EnvPool, {cores} threads", "envpool", _envpool),
+            (f"hitl_jax lean, {cores} workers", "hitl_jax", partial(pool_rate, "lean")),
+        ],
+        seconds,
+        turns=3,
+        bar=0.8,
+    )
     return rows
 
 
-def _rows(ways: list[_Way], seconds: float, ratio_to: int, bar: float) -> list[Row]:
-    """Measures `ways`; the last is ours and is compared with the one at `ratio_to`."""
-    rows: list[Row] = []
-    for name, package, measure in ways:
-        row: Row = {"peer": name}
-        try:
-            row["version"] = importlib.metadata.version(package)
-            row["steps/s"] = round(measure(seconds))
-        except ImportError as error:
-            row["peer"] += f': missing ({error}); pip install -e ".[bench]"'
-        rows.append(row)
-    rows[-1]["bar"] = bar
-    if "steps/s" in rows[ratio_to]:
-        rows[-1]["ratio"] = round(rows[-1]["steps/s"] / rows[ratio_to]["steps/s"], 2)
-    return rows
+def _rows(ways: list[_Way], seconds: float, turns: int, bar: float) -> list[Row]:
+    """Measures `ways` in turns, medians; ours are compared with the best of the others."""
+    rates: dict[str, list[float]] = {name: [] for name, *_ in ways}
+    rows: dict[str, Row] = {name: {"peer": name} for name, *_ in ways}
+    for _ in range(turns):
+        for name, package, measure in ways:
+            try:
+                rows[name]["version"] = importlib.metadata.version(package)
+                rates[name].append(measure(seconds))
+            except ImportError as error:
+                rows[name]["peer"] = f'{name}: missing ({error}); pip install -e ".[bench]"'
+    medians = {name: statistics.median(rate) for name, rate in rates.items() if rate}
+    others = [medians[name] for name, package, _ in ways if package != "hitl_jax" and rates[name]]
+    for name, package, _ in ways:
+        if name in medians:
+            rows[name]["steps/s"] = round(medians[name])
+            if package == "hitl_jax" and others:
+                rows[name]["ratio"] = round(medians[name] / max(others), 2)
+    rows[ways[-1][0]]["bar"] = bar
+    return list(rows.values())
 
 
-def _sbx(processes: int, width: int, batch_size: int, seconds: float) -> float:
-    """Steps/s of SBX in some processes at once."""
+def _sbx(width: int, batch_size: int, processes: int, together: int, seconds: float) -> float:
+    """Steps/s of SBX in some processes at once, `together` updates after as many steps."""
     import sbx  # noqa: F401, a missing peer is named before processes start
 
     context = multiprocessing.get_context("spawn")
     with context.Manager() as manager, ProcessPoolExecutor(processes, context) as executor:
         ready = manager.Barrier(processes, timeout=START_SECONDS)
         jobs = [
-            executor.submit(_sbx_steps, ready, width, batch_size, seconds) for _ in range(processes)
+            executor.submit(
+                _sbx_steps,
+                ready,
+                index if processes > 1 else None,
+                width,
+                batch_size,
+                together,
+                seconds,
+            )
+            for index in range(processes)
         ]
         return sum(job.result() for job in jobs)
 
 
-def _sbx_steps(ready: Barrier, width: int, batch_size: int, seconds: float) -> float:
+def _sbx_steps(
+    ready: Barrier, core: int | None, width: int, batch_size: int, together: int, seconds: float
+) -> float:
+    if core is not None and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {sorted(os.sched_getaffinity(0))[core]})
     import gymnasium
     import sbx
     from stable_baselines3.common.callbacks import BaseCallback
@@ -103,10 +143,10 @@ def _sbx_steps(ready: Barrier, width: int, batch_size: int, seconds: float) -> f
         batch_size=batch_size,
         buffer_size=LoopConfig().capacity,
         learning_starts=WARMUP_STEPS,
-        train_freq=1,
-        gradient_steps=1,
+        train_freq=together,
+        gradient_steps=together,
     )
-    model.learn(2 * WARMUP_STEPS)  # Compiles both kinds of update.
+    model.learn(2 * WARMUP_STEPS)  # Compiles.
     ready.wait()
     until = Until()
     start, before = time.perf_counter(), model.num_timesteps
@@ -116,36 +156,46 @@ def _sbx_steps(ready: Barrier, width: int, batch_size: int, seconds: float) -> f
     return steps / (time.perf_counter() - start)
 
 
-def _ours(width: int, batch_size: int, seconds: float) -> float:
-    """Run-steps/s of the whole loop, SRL, the method that SBX's is."""
-    agent = make_agent(AgentConfig(hidden_sizes=(width, width), batch_size=batch_size, n_step=1))
-    config = LoopConfig(updates_per_step=1.0)
-    hyper = hyper_for(Method.SRL, Hyper(warmup_steps=WARMUP_STEPS))
-    specs = [RunSpec(Method.SRL, seed, hyper, 10**6) for seed in range(RUNS)]
-    with make_pool("lean", num_slots(RUNS, RUNS), WORKERS) as pool:
-        chunks = iter(Rollout(agent, specs, pool, config))
-        for _ in range(2 * WARMUP_STEPS // config.chunk):
-            next(chunks)
-        ticks, start = 0, time.perf_counter()
-        while time.perf_counter() - start < seconds:
-            next(chunks)
-            ticks += config.chunk
-        return ticks * RUNS / (time.perf_counter() - start)
+def _ours(width: int, batch_size: int, backend: str, seconds: float) -> float:
+    """Steps/s of the whole loop, SRL, the method that SBX's is."""
+    config = AgentConfig(
+        hidden_sizes=(width, width), batch_size=batch_size, n_step=1, layer_norm=False
+    )
+    loop = LoopConfig(chunk=TOGETHER, updates_per_step=1.0)
+    with make_pool(backend, num_slots(RUNS, RUNS)) as pool:
+        rollout = Rollout(make_agent(config), specs_of([Method.SRL], RUNS), pool, loop)
+        chunks = iter(rollout)
+        warm_up(rollout, chunks)
+        played = play(rollout, chunks, seconds)
+        return played.steps / played.seconds
 
 
 def _vector(seconds: float) -> float:
     """Steps/s of gymnasium's own vector of processes."""
     import gymnasium
 
-    rng = np.random.default_rng(0)
     makers = [lambda: gymnasium.make(WALKER, disable_env_checker=True)] * VECTOR_WALKERS
     walkers = gymnasium.vector.AsyncVectorEnv(makers, context="spawn")
     try:
         walkers.reset(seed=0)
-        steps, start = 0, time.perf_counter()
-        while time.perf_counter() - start < seconds:
-            walkers.step(rng.uniform(-1, 1, (VECTOR_WALKERS, 4)).astype(np.float32))
-            steps += VECTOR_WALKERS
-        return steps / (time.perf_counter() - start)
+        return _random_steps(walkers.step, VECTOR_WALKERS, seconds)
     finally:
         walkers.close()
+
+
+def _envpool(seconds: float) -> float:
+    """Steps/s of EnvPool by itself."""
+    import envpool
+
+    walkers = envpool.make_gymnasium(WALKER, num_envs=WALKERS, num_threads=num_cores())
+    walkers.reset()
+    return _random_steps(walkers.step, WALKERS, seconds)
+
+
+def _random_steps(step: Callable[[np.ndarray], object], walkers: int, seconds: float) -> float:
+    rng = np.random.default_rng(0)
+    steps, start = 0, time.perf_counter()
+    while time.perf_counter() - start < seconds:
+        step(rng.uniform(-1, 1, (walkers, 4)).astype(np.float32))
+        steps += walkers
+    return steps / (time.perf_counter() - start)

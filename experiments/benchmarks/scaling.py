@@ -14,18 +14,18 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from experiments.benchmarks.loop import play, specs_of, warm_up
 from experiments.benchmarks.timing import Row, memory_mb
 from experiments.devices import keep_programs, use_all_cores
 from hitl_jax.agent import make_agent
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import AgentConfig, Method
 from hitl_jax.envs import make_pool
-from hitl_jax.rollout import CPU_TILE, LoopConfig, Rollout, RunSpec, num_slots
+from hitl_jax.rollout import LoopConfig, Rollout, num_slots
 
 NUM_RUNS = (1, 3, 10, 30, 100)
-WARMUP_STEPS = 500
+SLOTS = 128
 SECOND_START_BAR = 15.0
 MEMORY_BAR = 16.0
-
 
 _PANELS: tuple[tuple[str, dict[str, str], float | None], ...] = (
     ("rate of all runs [1/s]", {"steps/s": "environment steps", "updates/s": "updates"}, None),
@@ -44,7 +44,7 @@ _LINES: tuple[dict[str, Any], ...] = (
 
 
 def measure_scaling(seconds: float) -> list[Row]:
-    """A row for each number of runs, at the defaults and with the whole replay allocated."""
+    """A row for each number of runs, as the sweep seats them, with the whole replay."""
     rows: list[Row] = []
     for runs in NUM_RUNS:
         with tempfile.TemporaryDirectory() as cache:
@@ -104,32 +104,20 @@ def _measure(runs: int, seconds: float, started: float) -> Row:
     use_all_cores()
     keep_programs()
     config = LoopConfig()
-    agent = make_agent(AgentConfig())
-    hyper = Hyper(warmup_steps=WARMUP_STEPS)
-    methods = list(Method)
-    specs = []
-    for index in range(runs):
-        seed, method = divmod(index, len(methods))
-        specs.append(RunSpec(methods[method], seed, hyper_for(methods[method], hyper), 10**6))
-    with make_pool("lean", num_slots(runs, runs)) as pool:
-        rollout = Rollout(agent, specs, pool, config, CPU_TILE)
+    with make_pool("lean", num_slots(runs, SLOTS)) as pool:
+        specs = specs_of(list(Method), runs)
+        rollout = Rollout(make_agent(AgentConfig()), specs, pool, config)
         chunks = iter(rollout)
         next(chunks)  # Every program has been compiled after one chunk.
         start = time.time() - started
-        while rollout.runs()[0].ticks < 2 * WARMUP_STEPS:
-            next(chunks)
-        ticks, since = 0, time.perf_counter()
-        while time.perf_counter() - since < 5 * seconds:
-            next(chunks)
-            ticks += config.chunk
-        took = time.perf_counter() - since
-        memory = memory_mb()
-    rate = ticks * runs / took
+        warm_up(rollout, chunks)
+        played = play(rollout, chunks, 5 * seconds)
+        memory = memory_mb(children=True)
     return {
         "runs": runs,
-        "steps/s": round(rate),
-        "updates/s": round(rate * config.updates_per_step),
-        "µs a run-step": round(1e6 / rate),
+        "steps/s": round(played.steps / played.seconds),
+        "updates/s": round(played.ticks * runs * config.updates_per_step / played.seconds),
+        "µs a run-step": round(1e6 * played.seconds / played.steps),
         "memory GB": round(memory / 1e3, 2),
         "start s": round(start, 1),
     }

@@ -1,5 +1,6 @@
 """How the parts of the benchmark measure."""
 
+import contextlib
 import os
 import pathlib
 import resource
@@ -30,13 +31,22 @@ def best(call: Callable[[], Any], seconds: float) -> float:
     return least
 
 
-def memory_mb() -> float:
-    """Resident memory of this process and its children now [MB]; our own peak without /proc."""
-    try:
-        tasks = pathlib.Path("/proc/self/task").glob("*/children")
-        processes = ["self", *" ".join(task.read_text() for task in tasks).split()]
-        files = [pathlib.Path(f"/proc/{process}/statm") for process in processes]
-        pages = sum(int(file.read_text().split()[1]) for file in files)
-        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-    except OSError:
+def memory_mb(children: bool = False) -> float:
+    """Resident memory of this process now [MB]; its peak where /proc is missing.
+
+    Args:
+        children: whether to add the processes that it started; pages that several of them share
+            count in each.
+    """
+    proc = pathlib.Path("/proc")
+    if not proc.joinpath("self/statm").exists():
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    pages = 0
+    processes = ["self"]
+    if children:
+        tasks = proc.joinpath("self/task").glob("*/children")
+        processes += " ".join(task.read_text() for task in tasks).split()
+    for process in processes:
+        with contextlib.suppress(OSError):  # It may have ended meanwhile.
+            pages += int(proc.joinpath(process, "statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -1,0 +1,46 @@
+"""Compiled programs are kept from one start to the next, and change no number."""
+
+import os
+import subprocess
+import sys
+
+_SCRIPT = """
+import sys
+from experiments.devices import keep_programs, use_all_cores
+use_all_cores()
+keep_programs()
+from toy import ToyPool
+from experiments.benchmarks.loop import specs_of
+from hitl_jax.agent import make_agent
+from hitl_jax.config import AgentConfig, Method
+from hitl_jax.rollout import LoopConfig, Rollout
+import jax
+loaded = []
+jax.monitoring.register_event_listener(
+    lambda event, **_: loaded.append(event) if event.endswith("cache_hits") else None
+)
+agent = make_agent(AgentConfig(hidden_sizes=(16,), batch_size=16))
+rollout = Rollout(agent, specs_of(list(Method), 4), ToyPool(4), LoopConfig(capacity=1024))
+chunks = iter(rollout)
+for _ in range(50):
+    next(chunks)
+train = rollout.collect(rollout.runs()[0]).train
+print(len(loaded) > 0, [leaf.tobytes().hex() for leaf in jax.tree.leaves(train.learner.actor)])
+"""
+
+
+def test_a_second_start_loads_its_programs_and_gives_the_same_numbers(tmp_path):
+    environment = {
+        **os.environ,
+        "JAX_ENABLE_COMPILATION_CACHE": "true",
+        "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "cache"),
+        "PYTHONPATH": os.pathsep.join(sys.path),
+    }
+    command = [sys.executable, "-c", _SCRIPT]
+    first, second = (
+        subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+        for _ in range(2)
+    )
+    assert first.stdout.startswith("False")
+    assert second.stdout.startswith("True")
+    assert first.stdout.split(" ", 1)[1] == second.stdout.split(" ", 1)[1]
