@@ -27,6 +27,7 @@ from hitl_jax import replay
 from hitl_jax.acting import ActingState, act, begin_episode, init_acting
 from hitl_jax.agent import Agent
 from hitl_jax.config import RunHyper
+from hitl_jax.keys import make_key
 from hitl_jax.types import Behavior, TrainState
 
 AXIS = "runs"
@@ -83,7 +84,7 @@ class Programs(NamedTuple):
 
 def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, chex.PRNGKey]:
     """Keys for learning, acting and testing of a run: from its method and seed alone."""
-    key = jax.random.fold_in(jax.random.key(seed), method_index)
+    key = jax.random.fold_in(make_key(seed), method_index)
     learning, acting, testing = jax.random.split(key, 3)
     return learning, acting, testing
 
@@ -124,7 +125,7 @@ def empty_seats(agent: Agent, num_runs: int, capacity: int, mesh: Mesh, like: Ru
         raise ValueError(f"{num_runs} runs do not divide over {mesh.size} devices")
 
     def make() -> Seats:
-        train = agents.init(agent, jax.random.key(0))
+        train = agents.init(agent, make_key(0))
         return Seats(
             train=_rows(train, num_runs),
             hyper=_rows(like, num_runs),
@@ -145,7 +146,7 @@ def empty_acting(agent: Agent, num_runs: int, device: jax.Device, like: RunHyper
     """
 
     def make() -> Acting:
-        state = init_acting(agent, like, jax.random.key(0))
+        state = init_acting(agent, like, make_key(0))
         return Acting(state=_rows(state, num_runs), hyper=_rows(like, num_runs))
 
     return jax.jit(make, out_shardings=jax.sharding.SingleDeviceSharding(device))()

@@ -6,6 +6,7 @@ import pytest
 from hitl_jax import agent as agents
 from hitl_jax import batch, replay
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.keys import make_key
 
 _AGENT = agents.make_agent(AgentConfig(hidden_sizes=(16, 16), batch_size=16, n_step=2))
 _UPDATES = 4
@@ -34,7 +35,7 @@ def _learn(runs, tile, mesh=None, skip=()):
     seats = batch.empty_seats(_AGENT, len(runs), 64, mesh, _hyper(0))
     programs = batch.make_programs(_AGENT, mesh, _UPDATES, tile)
     for slot, run in enumerate(runs):
-        seats = programs.seat(seats, slot, _hyper(run), jax.random.key(run))
+        seats = programs.seat(seats, slot, _hyper(run), make_key(run))
     share = len(runs) // mesh.size
     slots, count = np.zeros(len(runs), np.int32), np.zeros(mesh.size, np.int32)
     for slot, run in enumerate(runs):

@@ -11,6 +11,7 @@ from experiments.benchmarks.timing import Row, best
 from hitl_jax import batch
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.keys import make_key
 from hitl_jax.rollout import num_slots
 from hitl_jax.types import Params
 
@@ -84,7 +85,7 @@ def make_learner(
     seats = batch.empty_seats(agent, runs, capacity, mesh, hyper)
     programs = batch.make_programs(agent, mesh, num_updates, tile)
     for slot in range(runs):
-        seats = programs.seat(seats, slot, hyper, jax.random.key(slot))
+        seats = programs.seat(seats, slot, hyper, make_key(slot))
     layout = agent.layout
     frames = np.random.default_rng(0).normal(size=(runs, chunk, layout.width)).astype(np.float32)
     frames[:, :, layout.terminated : layout.final + 1] = 0.0
