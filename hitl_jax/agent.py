@@ -280,6 +280,12 @@ def learn(
     )
     batches = jax.tree.map(lambda leaf: leaf.reshape(shape + leaf.shape[1:]), batches)
     noise = jax.random.normal(noise_key, (*shape, config.action_size))
+    pool = replay.sample_boundary(
+        memory, agent.layout, column, boundary_key, config.boundary_batch_size, hyper.gamma
+    )
+    # Fused with the updates, the reading of a replay of other shape would round them otherwise: a
+    # run would feel how many stand beside it.
+    batches, noise, pool = jax.lax.optimization_barrier((batches, noise, pool))
 
     def several(state: TrainState, drawn: tuple[Transition, chex.Array]) -> tuple[TrainState, None]:
         for index in range(config.policy_delay):
@@ -289,9 +295,6 @@ def learn(
         return state, None
 
     state, _ = jax.lax.scan(several, dataclasses.replace(state, key=key), (batches, noise))
-    pool = replay.sample_boundary(
-        memory, agent.layout, column, boundary_key, config.boundary_batch_size, hyper.gamma
-    )
     state, _metrics = update_boundary(agent, hyper, state, pool)
     return state
 

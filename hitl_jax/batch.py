@@ -267,7 +267,8 @@ def _learn_local(
         chosen = jax.lax.dynamic_slice_in_dim(slots, index * tile, tile)
         filled = index * tile + jnp.arange(tile) < count[0]
         chosen = jnp.where(filled, chosen, chosen[0])
-        hyper, rows = jax.tree.map(functools.partial(_take, chosen), (seats.hyper, train))
+        chosen_rows = jax.tree.map(functools.partial(_take, chosen), (seats.hyper, train))
+        hyper, rows = jax.lax.optimization_barrier(chosen_rows)
         after = several(hyper, rows, memory, chosen)
         return jax.tree.map(functools.partial(_give, chosen), train, after)
 
