@@ -271,8 +271,7 @@ def learn(
         )
 
     key, sample_key, noise_key, boundary_key = jax.random.split(state.key, 4)
-    # Everything random is drawn at once: a generator called for every minibatch would cost as much
-    # as a fifth of the arithmetic.
+    # Everything random is drawn at once: a generator is many small kernels, whatever it draws.
     shape = (num_updates // config.policy_delay, config.policy_delay, config.batch_size)
     draws = num_updates * config.batch_size
     batches = replay.sample(
