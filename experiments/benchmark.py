@@ -21,7 +21,6 @@ from experiments.benchmarks.pool import measure_pool
 from experiments.benchmarks.scaling import draw_scaling, measure_scaling
 from experiments.benchmarks.timing import Row
 from experiments.cli import BadInput, run_main
-from experiments.devices import use_all_cores
 from hitl_jax.envs import num_cores
 from hitl_jax.files import write_text_atomic
 from hitl_jax.provenance import versions
@@ -65,7 +64,6 @@ def main(options: BenchmarkOptions) -> int:
             raise BadInput(f"--plot {options.plot}: must end with .png or .svg")
         if "scaling" not in parts:
             raise BadInput(f"--plot {options.plot}: needs the part scaling in --only")
-    use_all_cores()
     console = Console(width=None if sys.stdout.isatty() else 120)
     report: dict[str, Any] = {"versions": versions(), "cores": num_cores()}
     for part in parts:

@@ -19,12 +19,13 @@ import jax
 import numpy as np
 
 from experiments.cli import BadInput, checking_input, run_main
-from experiments.devices import keep_programs, use_all_cores
+from experiments.compile_cache import keep_programs
 from experiments.options import SweepOptions
 from experiments.progress import Progress
-from hitl_jax import batch, checkpoint, figures, human_actions
+from hitl_jax import checkpoint, figures, human_actions
 from hitl_jax.agent import Agent, make_agent
 from hitl_jax.config import Method, hyper_for
+from hitl_jax.devices import learning_devices
 from hitl_jax.envs import make_pool
 from hitl_jax.episodes import ALARM_WINDOW
 from hitl_jax.evaluation import Evaluator, Mode, evaluate_run
@@ -81,7 +82,6 @@ def main(options: SweepOptions) -> int:
     ]
     finished = folder.finished()
     specs = [spec for spec in wanted if RunKey(spec.method, spec.seed) not in finished]
-    use_all_cores()
     keep_programs()
     sweep = _Sweep(options, agent, folder, config, len(wanted), specs)
     try:
@@ -132,7 +132,7 @@ class _Sweep:
     def run(self) -> None:
         """Trains, tests and writes every run."""
         options = self._options
-        devices = batch.make_mesh().size
+        devices = learning_devices()
         slots = num_slots(len(self._specs), options.slots)
         with (
             make_pool(options.backend, slots, options.workers, seed=self._seed("train")) as pool,
@@ -145,7 +145,7 @@ class _Sweep:
             self._progress as progress,
         ):
             progress.say(
-                f"{len(self._specs)} runs in {slots} slots on {devices} {jax.default_backend()} "
+                f"{len(self._specs)} runs in {slots} slots on {len(devices)} {devices[0].platform} "
                 f"devices; results in {options.out}"
             )
             evaluator = Evaluator(self._agent, test_pool)

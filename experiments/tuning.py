@@ -16,7 +16,7 @@ import numpy as np
 import tyro
 
 from experiments.cli import BadInput, checking_input, run_main
-from experiments.devices import keep_programs, use_all_cores
+from experiments.compile_cache import keep_programs
 from hitl_jax import files
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require
@@ -35,13 +35,18 @@ _BASE: _Changes = {
     "updates_per_step": 0.5,
 }
 
+_NORM: _Changes = {"batch_size": 64, "layer_norm": True}
+_QUIET: _Changes = _NORM | {"noise_free_every": 4}
+_SLOW: _Changes = {"actor_learning_rate": 5e-4, "critic_learning_rate": 5e-4}
+
 CONFIGURATIONS: dict[str, _Changes] = {
     "128-batch-128": {},
     "128-batch-64": {"batch_size": 64},
-    "128-batch-64-norm": {"batch_size": 64, "layer_norm": True},
-    "64-batch-128": {"hidden_sizes": (64, 64)},
-    "64-batch-128-ratio-1": {"hidden_sizes": (64, 64), "updates_per_step": 1.0},
-    "128-batch-64-norm-n-8": {"batch_size": 64, "layer_norm": True, "n_step": 8},
+    "128-batch-64-norm": _NORM,
+    "128-batch-64-norm-quiet": _QUIET,
+    "64-batch-64-norm-quiet": _QUIET | {"hidden_sizes": (64, 64)},
+    "128-batch-64-norm-quiet-lr-5e-4": _QUIET | _SLOW,
+    "128-batch-64-norm-quiet-n-8": _QUIET | {"n_step": 8},
 }
 """What each configuration changes of `_BASE`, by the names of the options."""
 
@@ -81,7 +86,6 @@ def main(options: TuningOptions) -> int:
             files.write_text_atomic(out / "tuning.md", _table(out, options))
         except OSError as error:
             raise BadInput(f"--out {options.out}: {error.strerror}") from error
-    use_all_cores()
     keep_programs()
     for name in options.configurations:
         agent, loop, hyper = _parts(_BASE | CONFIGURATIONS[name])

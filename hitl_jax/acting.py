@@ -20,6 +20,7 @@ class ActingState:
     Attributes:
         key: typed PRNG key of the run's acting, [].
         steps: environment steps taken, int32 [].
+        episodes: episodes begun, int32 [].
         noise: the action noise in units of its standard deviation, [A].
         boundary: the boundary source's carry, [].
         human: the human's state.
@@ -29,6 +30,7 @@ class ActingState:
 
     key: chex.PRNGKey
     steps: chex.Array
+    episodes: chex.Array
     noise: chex.Array
     boundary: chex.Array
     human: chex.ArrayTree
@@ -78,6 +80,7 @@ def init_acting(agent: Agent, hyper: RunHyper, key: chex.PRNGKey) -> ActingState
     return ActingState(
         key=key,
         steps=jnp.zeros((), jnp.int32),
+        episodes=jnp.zeros((), jnp.int32),
         noise=jnp.zeros((agent.config.action_size,)),
         boundary=source.init(initial),
         human=agent.human.init(),
@@ -90,6 +93,7 @@ def begin_episode(agent: Agent, state: ActingState) -> ActingState:
     """Forgets what belongs to an episode; boundary, step count and attention go on."""
     return dataclasses.replace(
         state,
+        episodes=state.episodes + 1,
         noise=jnp.zeros_like(state.noise),
         human=agent.human.begin_episode(state.human),
         source=agent.source.begin_episode(state.source),
@@ -160,6 +164,7 @@ def act(
     state = ActingState(
         key=key,
         steps=state.steps + 1,
+        episodes=state.episodes,
         noise=noise,
         boundary=carry,
         human=agent.human.notify(human_state, hyper.human, ruling.began, ruling.control),
@@ -181,7 +186,10 @@ def _explore(
     rho = hyper.noise_correlation
     fresh = jax.random.normal(key, state.noise.shape)
     noise = rho * state.noise + jnp.sqrt(1.0 - rho**2) * fresh
-    action = agent.actor.apply(actor, observation) + hyper.exploration_noise * noise
+    every = hyper.noise_free_every
+    noise_free = (every > 0) & (state.episodes % jnp.maximum(every, 1) == 0)
+    scale = jnp.where(noise_free, 0.0, hyper.exploration_noise)
+    action = agent.actor.apply(actor, observation) + scale * noise
     return noise, jnp.clip(action, -1.0, 1.0)
 
 

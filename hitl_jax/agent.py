@@ -282,9 +282,6 @@ def learn(
     pool = replay.sample_boundary(
         memory, agent.layout, column, boundary_key, config.boundary_batch_size, hyper.gamma
     )
-    # Fused with the updates, the reading of a replay of other shape would round them otherwise: a
-    # run would feel how many stand beside it.
-    batches, noise, pool = jax.lax.optimization_barrier((batches, noise, pool))
 
     def several(state: TrainState, drawn: tuple[Transition, chex.Array]) -> tuple[TrainState, None]:
         for index in range(config.policy_delay):

@@ -1,12 +1,11 @@
 """The one place where runs are vmapped: R runs that share nothing but the ring's cursor.
 
-Learning. The run axis is sharded over the devices of a mesh: two CPU devices keep two cores busy
-better than one device with two threads, since a small matrix product does not split well. On each
-device a loop takes the runs that are to learn in tiles of a few (`vmap` within a tile), and makes
-all updates of a call on one tile before the next, so that a tile's parameters stay in cache. Which
-runs learn, and how many, are arguments: a run that has finished or is still warming up costs
-nothing, and nothing is compiled again. A tile that is not full is filled up with copies of its
-first run.
+Learning. On a device, a loop takes the runs that are to learn in tiles of a few (`vmap` within a
+tile), and makes all updates of a call on one tile before the next, so that a tile's parameters stay
+in cache. Which runs learn, and how many, are arguments: a run that has finished or is still warming
+up costs nothing, and nothing is compiled again. A tile that is not full is filled up with copies of
+its first run. Each device has its own runs and the same programs: two CPU devices keep two cores
+busy better than one with two threads, since a small matrix product does not split well.
 
 Acting. One small program for all runs on one device, called once a tick by the host loop.
 """
@@ -19,8 +18,7 @@ import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding
-from jax.sharding import PartitionSpec as P
+from jax.sharding import SingleDeviceSharding
 
 from hitl_jax import agent as agents
 from hitl_jax import replay
@@ -30,14 +28,12 @@ from hitl_jax.config import RunHyper
 from hitl_jax.keys import make_key
 from hitl_jax.types import Behavior, TrainState
 
-AXIS = "runs"
-
 EXTRA_COLUMNS = ("control", "began", "human_action", "human_reset", "alarmed", "dangerous")
 """Columns of a packed decision behind those of the frame, in this order; each 0 or 1."""
 
 
 class Seats(NamedTuple):
-    """Everything on the learning devices, leaves [R, ...] sharded over runs but for the cursor.
+    """Everything on a learning device, leaves [R, ...] but for the cursor.
 
     Attributes:
         train: training states.
@@ -69,9 +65,8 @@ class Programs(NamedTuple):
         seat: (seats, slot, hyper, key) to seats with a fresh run in `slot`; donates.
         seat_acting: (acting, slot, hyper, key) to acting with a fresh run in `slot`; donates.
         act: (acting, behavior, observation [R, O], live bool [R]) to (acting, packed [R, W + 6]).
-        learn: (seats, frames [R, U, W], slots int32 [R], count int32 [D]) to seats and a copy of
-            what acting needs of them; donates. On each device the first `count` of its `slots`
-            learn, given as columns of that device.
+        learn: (seats, frames [R, U, W], slots int32 [R], count int32 []) to seats and a copy of
+            what acting needs of them; donates. The first `count` of `slots` learn.
         seat_behavior: (behavior, slot, row) to behavior, for a fresh run in `slot`; donates.
     """
 
@@ -89,40 +84,18 @@ def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, 
     return learning, acting, testing
 
 
-def make_mesh(devices: list[jax.Device] | None = None) -> Mesh:
-    """A mesh of one axis, `runs`.
-
-    Args:
-        devices: those that learn; by default all, less the last where there are several CPU
-            devices: acting has that one to itself, or it would queue behind the learner.
-    """
-    if devices is None:
-        devices = jax.devices()
-        if len(devices) > 1 and devices[0].platform == "cpu":
-            devices = devices[:-1]
-    return Mesh(np.array(devices), (AXIS,))
-
-
-def acting_device() -> jax.Device:
-    """The device that acts: the last of the CPU."""
-    return jax.devices("cpu")[-1]
-
-
-def empty_seats(agent: Agent, num_runs: int, capacity: int, mesh: Mesh, like: RunHyper) -> Seats:
-    """Seats without runs, placed on the mesh.
+def empty_seats(
+    agent: Agent, num_runs: int, capacity: int, device: jax.Device, like: RunHyper
+) -> Seats:
+    """Seats without runs, placed on one device.
 
     Args:
         agent: the team.
-        num_runs: R, a multiple of the mesh's size.
+        num_runs: R, of this device.
         capacity: T, frames in the ring of each run.
-        mesh: one axis `runs`.
+        device: where their runs will learn.
         like: hyperparameters whose types are taken over.
-
-    Raises:
-        ValueError: if R is no multiple of the mesh's size.
     """
-    if num_runs % mesh.size:
-        raise ValueError(f"{num_runs} runs do not divide over {mesh.size} devices")
 
     def make() -> Seats:
         train = agents.init(agent, make_key(0))
@@ -132,7 +105,7 @@ def empty_seats(agent: Agent, num_runs: int, capacity: int, mesh: Mesh, like: Ru
             memory=replay.init(capacity, num_runs, agent.layout),
         )
 
-    return jax.jit(make, out_shardings=_seat_shardings(mesh))()
+    return jax.jit(make, out_shardings=SingleDeviceSharding(device))()
 
 
 def empty_acting(agent: Agent, num_runs: int, device: jax.Device, like: RunHyper) -> Acting:
@@ -149,15 +122,14 @@ def empty_acting(agent: Agent, num_runs: int, device: jax.Device, like: RunHyper
         state = init_acting(agent, like, make_key(0))
         return Acting(state=_rows(state, num_runs), hyper=_rows(like, num_runs))
 
-    return jax.jit(make, out_shardings=jax.sharding.SingleDeviceSharding(device))()
+    return jax.jit(make, out_shardings=SingleDeviceSharding(device))()
 
 
-def make_programs(agent: Agent, mesh: Mesh, num_updates: int, tile: int) -> Programs:
-    """Compiles lazily: each program at its first call.
+def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
+    """Compiles lazily: each program at its first call on a device.
 
     Args:
         agent: the team.
-        mesh: one axis `runs`.
         num_updates: updates of the task learner in one call of `learn`.
         tile: runs that are vmapped together; fewer keep the cache, more feed a GPU.
     """
@@ -175,25 +147,13 @@ def make_programs(agent: Agent, mesh: Mesh, num_updates: int, tile: int) -> Prog
             hyper=_put(acting.hyper, slot, hyper),
         )
 
-    specs = _seat_specs()
-    learn = jax.shard_map(
-        functools.partial(_learn_local, agent, num_updates, tile),
-        mesh=mesh,
-        in_specs=(specs, P(AXIS), P(AXIS), P(AXIS)),
-        out_specs=(specs, P(AXIS)),
-        check_vma=False,
-    )
-    sharded = NamedSharding(mesh, P(AXIS))
+    learn = functools.partial(_learn_all, agent, num_updates, tile)
     return Programs(
-        seat=jax.jit(seat, donate_argnums=0, out_shardings=_seat_shardings(mesh)),
+        seat=jax.jit(seat, donate_argnums=0),
         seat_acting=jax.jit(seat_acting, donate_argnums=0),
         act=jax.jit(functools.partial(_act_all, agent), donate_argnums=0),
-        learn=jax.jit(
-            learn,
-            donate_argnums=0,
-            out_shardings=(_seat_shardings(mesh), sharded),
-        ),
-        seat_behavior=jax.jit(_put, donate_argnums=0, out_shardings=sharded),
+        learn=jax.jit(learn, donate_argnums=0),
+        seat_behavior=jax.jit(_put, donate_argnums=0),
     )
 
 
@@ -243,7 +203,7 @@ def _act_all(
     return Acting(state=state, hyper=acting.hyper), packed
 
 
-def _learn_local(
+def _learn_all(
     agent: Agent,
     num_updates: int,
     tile: int,
@@ -252,7 +212,6 @@ def _learn_local(
     slots: chex.Array,
     count: chex.Array,
 ) -> tuple[Seats, Behavior]:
-    """`learn` on one device: its own runs, its own list of slots, its own count [1]."""
     memory = replay.add(seats.memory, frames)
     slots = jnp.concatenate([slots, jnp.zeros((tile,), slots.dtype)])
 
@@ -265,14 +224,14 @@ def _learn_local(
 
     def learn_tile(index: chex.Array, train: TrainState) -> TrainState:
         chosen = jax.lax.dynamic_slice_in_dim(slots, index * tile, tile)
-        filled = index * tile + jnp.arange(tile) < count[0]
+        filled = index * tile + jnp.arange(tile) < count
         chosen = jnp.where(filled, chosen, chosen[0])
         chosen_rows = jax.tree.map(functools.partial(_take, chosen), (seats.hyper, train))
         hyper, rows = jax.lax.optimization_barrier(chosen_rows)
         after = several(hyper, rows, memory, chosen)
         return jax.tree.map(functools.partial(_give, chosen), train, after)
 
-    tiles = (count[0] + tile - 1) // tile
+    tiles = (count + tile - 1) // tile
     train = jax.lax.fori_loop(0, tiles, learn_tile, seats.train)
     return Seats(train=train, hyper=seats.hyper, memory=memory), agents.behavior(train)
 
@@ -308,15 +267,3 @@ def _put(tree: chex.ArrayTree, slot: chex.Array, row: chex.ArrayTree) -> chex.Ar
         return leaf.at[slot].set(value)
 
     return jax.tree.map(put, tree, row)
-
-
-def _seat_specs() -> Seats:
-    memory = replay.Replay(frames=P(AXIS), cursor=P(), start=P(AXIS))
-    return Seats(train=P(AXIS), hyper=P(AXIS), memory=memory)  # type: ignore[arg-type]
-
-
-def _seat_shardings(mesh: Mesh) -> Seats:
-    specs = _seat_specs()
-    return jax.tree.map(
-        lambda spec: NamedSharding(mesh, spec), specs, is_leaf=lambda leaf: isinstance(leaf, P)
-    )

@@ -118,6 +118,8 @@ class Hyper:
         exploration_noise: standard deviation of the action noise, in units of action.
         noise_correlation: correlation of the action noise from step to step; 0 is white. The noise
             starts from 0 in every episode.
+        noise_free_every: of so many training episodes the last is played without action noise, as
+            the test will be; 0 is none.
         warmup_steps: environment steps of uniformly random actions before learning.
         initial_boundary: τ_0 [rad].
         delta_minus: Δ⁻, what a true alarm takes from the boundary [rad].
@@ -143,6 +145,7 @@ class Hyper:
     target_noise_clip: float = 0.5
     exploration_noise: float = 0.2
     noise_correlation: float = 0.8
+    noise_free_every: int = 0
     warmup_steps: int = 2000
     initial_boundary: float = 0.7
     delta_minus: float = 1e-3
@@ -205,6 +208,7 @@ def validate_hyper(hyper: Hyper) -> None:
         "target_noise",
         "target_noise_clip",
         "exploration_noise",
+        "noise_free_every",
         "warmup_steps",
         "delta_minus",
         "delta_plus",

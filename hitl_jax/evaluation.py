@@ -12,6 +12,7 @@ from hitl_jax import batch
 from hitl_jax.acting import ActingState, init_acting
 from hitl_jax.agent import Agent
 from hitl_jax.config import RunHyper
+from hitl_jax.devices import acting_device
 from hitl_jax.envs import Command, WalkerPool
 from hitl_jax.episodes import EpisodeCounter, Row, Step
 from hitl_jax.rollout import FinishedRun, episode_seed, method_index
@@ -72,7 +73,7 @@ class Evaluator:
         """
         hyper = frozen(hyper, human_present=mode == "assisted")
         # Committed to the acting device, the programs run there, a GPU or not.
-        hyper, params, key = jax.device_put((hyper, params, key), batch.acting_device())
+        hyper, params, key = jax.device_put((hyper, params, key), acting_device())
         state = self._init(hyper, boundary, key, np.arange(len(seeds)))
         layout = self._agent.layout
         counter = EpisodeCounter(len(seeds))

@@ -73,7 +73,9 @@ class Critics(nn.Module):
         for size in self.hidden_sizes:
             x = _StackedDense(self.num_critics, size)(x)
             if self.layer_norm:
-                x = nn.LayerNorm(use_bias=False, use_scale=False)(x)
+                # With the axis of critics apart, XLA sums slowly where there is one critic.
+                flat = nn.LayerNorm(use_bias=False, use_scale=False)(x.reshape(-1, size))
+                x = flat.reshape(x.shape)
             x = nn.relu(x)
         return _StackedDense(self.num_critics, 1)(x)[..., 0]
 

@@ -5,11 +5,15 @@ next observation is the next frame's, so nothing is stored twice. When an episod
 or truncated alike) the run spends one tick on the reset; that tick's frame is `final`: it holds the
 true last observation, no step was taken from it and it is never drawn as the start of a transition.
 
+A frame is stored in two parts, what was seen and done and what came of it: an n-step transition
+needs the first of two frames and the second of n, and reading memory is what drawing costs.
+
 Memory: capacity · R · width · 4 bytes, with width = O + A + 7. BipedalWalker has width 35: 200,000
 frames of one run take 28 MB, of thirty runs 840 MB. The pool D of Algorithm 1 is the same ring read
 through `sample_boundary`: it needs three of its columns more than the task does.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import chex
@@ -19,9 +23,9 @@ from flax import struct
 
 from hitl_jax.types import BoundaryTransition, Transition
 
-_DRAWS = 4
+_DRAWS = 2
 """Draws for each start. Frames that are final are passed over; the chance that all draws are final
-is (episodes / frames)^4, and then the step before the final frame is taken."""
+is (episodes / frames)^2, and then the step beside the final frame is taken."""
 
 
 class Layout(NamedTuple):
@@ -91,12 +95,14 @@ class Replay:
     """The ring.
 
     Attributes:
-        frames: packed frames, [R, T, W].
+        seen: observation and action of each frame, [R, T, O + A].
+        outcome: the other columns of each frame, from `Layout.reward` on, [R, T, 7].
         cursor: frames written so far in each run's column, [].
         start: value of the cursor when the run in each column began, [R].
     """
 
-    frames: chex.Array
+    seen: chex.Array
+    outcome: chex.Array
     cursor: chex.Array
     start: chex.Array
 
@@ -104,7 +110,8 @@ class Replay:
 def init(capacity: int, num_runs: int, layout: Layout) -> Replay:
     """An empty ring of `capacity` frames for each of `num_runs` runs."""
     return Replay(
-        frames=jnp.zeros((num_runs, capacity, layout.width), jnp.float32),
+        seen=jnp.zeros((num_runs, capacity, layout.reward), jnp.float32),
+        outcome=jnp.zeros((num_runs, capacity, layout.width - layout.reward), jnp.float32),
         cursor=jnp.zeros((), jnp.int32),
         start=jnp.zeros((num_runs,), jnp.int32),
     )
@@ -125,14 +132,18 @@ def add(replay: Replay, frames: chex.Array) -> Replay:
     Raises:
         ValueError: at trace time, if U does not divide the capacity.
     """
-    num_runs, capacity, width = replay.frames.shape
+    num_runs, capacity, split = replay.seen.shape
     count = frames.shape[1]
-    chex.assert_shape(frames, (num_runs, count, width))
+    chex.assert_shape(frames, (num_runs, count, split + replay.outcome.shape[2]))
     if capacity % count:
         raise ValueError(f"capacity {capacity} is no multiple of the {count} frames of one write")
     at = (jnp.int32(0), replay.cursor % capacity, jnp.int32(0))
-    written = jax.lax.dynamic_update_slice(replay.frames, frames, at)
-    return Replay(frames=written, cursor=replay.cursor + count, start=replay.start)
+    return Replay(
+        seen=jax.lax.dynamic_update_slice(replay.seen, frames[..., :split], at),
+        outcome=jax.lax.dynamic_update_slice(replay.outcome, frames[..., split:], at),
+        cursor=replay.cursor + count,
+        start=replay.start,
+    )
 
 
 def begin_run(replay: Replay, column: chex.Array) -> Replay:
@@ -142,13 +153,12 @@ def begin_run(replay: Replay, column: chex.Array) -> Replay:
         replay: the ring.
         column: index of the run's column, [].
     """
-    start = replay.start.at[column].set(replay.cursor)
-    return Replay(frames=replay.frames, cursor=replay.cursor, start=start)
+    return dataclasses.replace(replay, start=replay.start.at[column].set(replay.cursor))
 
 
 def num_starts(replay: Replay, column: chex.Array, n_step: int) -> chex.Array:
     """How many frames of a column can start an n-step transition, final ones included, []."""
-    oldest = jnp.maximum(replay.start[column], replay.cursor - replay.frames.shape[1])
+    oldest = jnp.maximum(replay.start[column], replay.cursor - replay.seen.shape[1])
     return jnp.maximum(replay.cursor - n_step - oldest, 0)
 
 
@@ -179,22 +189,24 @@ def sample(
     Returns:
         A minibatch, leading axis B.
     """
-    window = _windows(replay, layout, column, key, batch_size, n_step)
-    ended = window[:, :n_step, layout.terminated] + window[:, :n_step, layout.truncated]
+    begin = _starts(replay, layout, column, key, batch_size, n_step)
+    outcome = _read(replay.outcome, column, begin[:, None] + jnp.arange(n_step))
+    reward, terminated, truncated = (
+        outcome[..., index - layout.reward]
+        for index in (layout.reward, layout.terminated, layout.truncated)
+    )
     # alive[:, i]: the episode had not ended before step i of the window.
-    alive = jnp.cumprod(1.0 - ended, axis=1)
+    alive = jnp.cumprod(1.0 - terminated - truncated, axis=1)
     alive = jnp.concatenate([jnp.ones((batch_size, 1)), alive[:, :-1]], axis=1)
-    powers = gamma ** jnp.arange(n_step)
-    reward = jnp.sum(alive * powers * window[:, :n_step, layout.reward], axis=1)
     taken = jnp.sum(alive, axis=1).astype(jnp.int32)
-    terminated = jnp.sum(alive * window[:, :n_step, layout.terminated], axis=1)
-    after = jnp.take_along_axis(window[:, :, layout.observation], taken[:, None, None], axis=1)
+    seen = _read(replay.seen, column, begin)
+    after = _read(replay.seen, column, begin + taken)
     return Transition(
-        observation=window[:, 0, layout.observation],
-        action=window[:, 0, layout.action],
-        reward=reward,
-        discount=gamma**taken * (1.0 - terminated),
-        next_observation=after[:, 0],
+        observation=seen[:, layout.observation],
+        action=seen[:, layout.action],
+        reward=jnp.sum(alive * gamma ** jnp.arange(n_step) * reward, axis=1),
+        discount=gamma**taken * (1.0 - jnp.sum(alive * terminated, axis=1)),
+        next_observation=after[:, layout.observation],
     )
 
 
@@ -219,19 +231,34 @@ def sample_boundary(
     Returns:
         A minibatch, leading axis N.
     """
-    window = _windows(replay, layout, column, key, batch_size, 1)
-    now = window[:, 0]
+    begin = _starts(replay, layout, column, key, batch_size, 1)
+    seen = _read(replay.seen, column, begin)
+    after = _read(replay.seen, column, begin + 1)
+    outcome = _read(replay.outcome, column, begin)
+
+    def came(index: int) -> chex.Array:
+        return outcome[:, index - layout.reward]
+
     return BoundaryTransition(
-        observation=now[:, layout.observation],
-        boundary=now[:, layout.boundary],
-        reward=now[:, layout.reward] + now[:, layout.boundary_reward],
-        discount=gamma * (1.0 - now[:, layout.terminated]),
-        next_observation=window[:, 1, layout.observation],
-        next_boundary=now[:, layout.next_boundary],
+        observation=seen[:, layout.observation],
+        boundary=came(layout.boundary),
+        reward=came(layout.reward) + came(layout.boundary_reward),
+        discount=gamma * (1.0 - came(layout.terminated)),
+        next_observation=after[:, layout.observation],
+        next_boundary=came(layout.next_boundary),
     )
 
 
-def _windows(
+def _read(ring: chex.Array, column: chex.Array, numbers: chex.Array) -> chex.Array:
+    """Frames of a column by their numbers, of any shape.
+
+    Fused with what follows, the reading of a ring of other shape would round it otherwise: a run
+    would feel how many stand beside it.
+    """
+    return jax.lax.optimization_barrier(ring[column, numbers % ring.shape[1]])
+
+
+def _starts(
     replay: Replay,
     layout: Layout,
     column: chex.Array,
@@ -239,14 +266,13 @@ def _windows(
     batch_size: int,
     n_step: int,
 ) -> chex.Array:
-    """Windows of n + 1 frames whose first is a step, [B, n + 1, W]."""
-    capacity = replay.frames.shape[1]
+    """Numbers of frames that are steps with n frames behind them, int32 [B]."""
     count = num_starts(replay, column, n_step)
     oldest = replay.cursor - n_step - count
     draws = jax.random.randint(key, (_DRAWS, batch_size), 0, jnp.maximum(count, 1))
-    final = replay.frames[column, (oldest + draws) % capacity, layout.final] > 0.5
+    final = _read(replay.outcome, column, oldest + draws)[..., layout.final - layout.reward] > 0.5
     chosen = jnp.argmin(final, axis=0)
     begin = jnp.take_along_axis(draws, chosen[None], axis=0)[0]
-    begin = begin - jnp.take_along_axis(final, chosen[None], axis=0)[0]
-    index = (oldest + jnp.maximum(begin, 0))[:, None] + jnp.arange(n_step + 1)
-    return replay.frames[column, index % capacity]
+    still_final = jnp.take_along_axis(final, chosen[None], axis=0)[0]
+    beside = jnp.where(begin > 0, begin - 1, 1)  # The first frame of all has none before it.
+    return oldest + jnp.where(still_final, beside, begin)

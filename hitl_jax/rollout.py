@@ -25,6 +25,7 @@ from hitl_jax import agent as agents
 from hitl_jax import arbiter, batch
 from hitl_jax.agent import Agent
 from hitl_jax.config import Method, RunHyper, require
+from hitl_jax.devices import acting_device, learning_devices
 from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.episodes import EpisodeCounter, Row, Step
 from hitl_jax.types import Behavior, Params
@@ -145,7 +146,7 @@ def num_slots(num_runs: int, most: int) -> int:
         num_runs: how many runs there are, at least 1.
         most: how many are wanted at a time, at least 1.
     """
-    devices = batch.make_mesh().size
+    devices = len(learning_devices())
     power = 2 ** math.ceil(math.log2(num_runs))
     return math.ceil(min(power, most) / devices) * devices
 
@@ -185,16 +186,19 @@ class Rollout:
         self._config = config
         self._layout = agent.layout
         slots = pool.num_walkers
-        mesh = batch.make_mesh()
-        self._devices = mesh.size
+        self._devices = learning_devices()
+        self._share = slots // len(self._devices)
         _check(agent, pool, config)
         self._num_updates = config.num_updates(agent.config.policy_delay)
-        self._programs = batch.make_programs(agent, mesh, self._num_updates, tile)
-        self._acting_device = batch.acting_device()
+        self._programs = batch.make_programs(agent, self._num_updates, tile)
+        self._acting_device = acting_device()
         like = _typed(specs[0].hyper)
-        self._seats = batch.empty_seats(agent, slots, config.frames, mesh, like)
+        self._seats = [
+            batch.empty_seats(agent, self._share, config.frames, device, like)
+            for device in self._devices
+        ]
         self._acting = batch.empty_acting(agent, slots, self._acting_device, like)
-        learned = agents.behavior(self._seats.train)
+        learned = [agents.behavior(seats.train) for seats in self._seats]
         self._learned = deque(jax.tree.map(jnp.copy, learned) for _ in range(LAG + 1))
 
         self._queue = deque(specs)
@@ -207,6 +211,7 @@ class Rollout:
         self._has_arbiter = np.zeros(slots, bool)
         self._observation = np.zeros((slots, pool.observation_size), np.float32)
         self._take = jax.jit(lambda tree, slot: jax.tree.map(lambda leaf: leaf[slot], tree))
+        self._join = jax.jit(lambda parts: jax.tree.map(lambda *p: jnp.concatenate(p), *parts))
         for slot in self._slot_order():
             self._seat(slot)
         self._behavior = self._to_acting(self._learned.popleft())
@@ -230,19 +235,18 @@ class Rollout:
 
     def collect(self, run: Run) -> FinishedRun:
         """What a run has become so far; for a run that is seated."""
-        train, acting = (
-            jax.device_get(self._take(tree, run.slot))
-            for tree in (
-                dataclasses.replace(self._seats.train, key=None),
-                self._acting.state.boundary,
-            )
+        device, column = divmod(run.slot, self._share)
+        train = dataclasses.replace(self._seats[device].train, key=None)
+        return FinishedRun(
+            run=run,
+            train=jax.device_get(self._take(train, column)),
+            boundary=np.asarray(self._acting.state.boundary)[run.slot],
         )
-        return FinishedRun(run=run, train=train, boundary=acting)
 
     def _slot_order(self) -> list[int]:
         """Slots such that neighbours in the queue go to different devices."""
-        slots = len(self._runs)
-        return [int(slot) for slot in np.arange(slots).reshape(self._devices, -1).T.ravel()]
+        slots = np.arange(len(self._runs)).reshape(len(self._devices), self._share)
+        return [int(slot) for slot in slots.T.ravel()]
 
     def _seat(self, slot: int) -> None:
         """Gives a slot to the next run in the queue, if there is one."""
@@ -251,12 +255,13 @@ class Rollout:
         spec = self._queue.popleft()
         learning, acting, _ = batch.run_keys(spec.seed, method_index(spec.method))
         hyper = _typed(spec.hyper)
-        self._seats = self._programs.seat(self._seats, slot, hyper, learning)
+        device, column = divmod(slot, self._share)
+        self._seats[device] = self._programs.seat(self._seats[device], column, hyper, learning)
         acting_key = jax.device_put(acting, self._acting_device)
         self._acting = self._programs.seat_acting(self._acting, slot, hyper, acting_key)
-        fresh = agents.behavior(self._take(self._seats.train, slot))
-        for index, waiting in enumerate(self._learned):
-            self._learned[index] = self._programs.seat_behavior(waiting, slot, fresh)
+        fresh = agents.behavior(self._take(self._seats[device].train, column))
+        for waiting in self._learned:
+            waiting[device] = self._programs.seat_behavior(waiting[device], column, fresh)
         self._runs[slot] = Run(spec=spec, slot=slot)
         self._counter.clear(slot)
         self._active[slot] = True
@@ -333,23 +338,28 @@ class Rollout:
 
     def _learn(self, frames: np.ndarray) -> None:
         """Starts the learner on a chunk; does not wait for it."""
-        slots = np.zeros(len(self._runs), np.int32)
-        count = np.zeros(self._devices, np.int32)
-        share = len(self._runs) // self._devices
+        columns: list[list[int]] = [[] for _ in self._devices]
         for run in self.runs():
             needed = max(2 * self._config.chunk, self._agent.config.n_step + 2)
             warm = max(run.spec.hyper.warmup_steps, needed)
             if not run.done and run.ticks >= warm:
-                device, column = divmod(run.slot, share)
-                slots[device * share + count[device]] = column
-                count[device] += 1
+                device, column = divmod(run.slot, self._share)
+                columns[device].append(column)
                 run.updates += self._num_updates
-        self._seats, learned = self._programs.learn(self._seats, frames, slots, count)
+        learned: list[Behavior] = []
+        for device, listed in enumerate(columns):
+            slots = np.zeros(self._share, np.int32)
+            slots[: len(listed)] = listed
+            rows = frames[device * self._share : (device + 1) * self._share]
+            self._seats[device], after = self._programs.learn(
+                self._seats[device], rows, slots, np.int32(len(listed))
+            )
+            learned.append(after)
         self._learned.append(learned)
 
-    def _to_acting(self, behavior: Behavior) -> Behavior:
-        """A copy on the acting device."""
-        return jax.device_put(behavior, self._acting_device, may_alias=False)
+    def _to_acting(self, learned: list[Behavior]) -> Behavior:
+        """A copy on the acting device, of all runs together."""
+        return self._join(jax.device_put(learned, self._acting_device))
 
 
 def _typed(hyper: RunHyper) -> RunHyper:
@@ -368,3 +378,6 @@ def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:
     if asked != has:
         raise ValueError(f"agent has observations and actions of {asked}, the walkers of {has}")
     require("n_step", agent.config.n_step, at_most=config.frames // 2)
+    devices = len(learning_devices())
+    if pool.num_walkers % devices:
+        raise ValueError(f"{pool.num_walkers} walkers do not divide over {devices} devices")

@@ -6,6 +6,7 @@ import pytest
 from hitl_jax import agent as agents
 from hitl_jax import batch, replay
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.devices import cpu_device
 from hitl_jax.keys import make_key
 
 _AGENT = agents.make_agent(AgentConfig(hidden_sizes=(16, 16), batch_size=16, n_step=2))
@@ -29,24 +30,23 @@ def _frames(runs, first=0):
     return frames
 
 
-def _learn(runs, tile, mesh=None, skip=()):
+def _learn(runs, tile, skip=(), device=0):
     """Training states of runs (any order, any number) after two calls of the learner."""
-    mesh = mesh or batch.make_mesh()
-    seats = batch.empty_seats(_AGENT, len(runs), 64, mesh, _hyper(0))
-    programs = batch.make_programs(_AGENT, mesh, _UPDATES, tile)
+    seats = _empty(len(runs), device)
+    programs = batch.make_programs(_AGENT, _UPDATES, tile)
     for slot, run in enumerate(runs):
         seats = programs.seat(seats, slot, _hyper(run), make_key(run))
-    share = len(runs) // mesh.size
-    slots, count = np.zeros(len(runs), np.int32), np.zeros(mesh.size, np.int32)
-    for slot, run in enumerate(runs):
-        if run not in skip:
-            device, column = divmod(slot, share)
-            slots[device * share + count[device]] = column
-            count[device] += 1
+    listed = [slot for slot, run in enumerate(runs) if run not in skip]
+    slots = np.zeros(len(runs), np.int32)
+    slots[: len(listed)] = listed
     for call in range(2):
-        seats, _ = programs.learn(seats, _frames(runs, call), slots, count)
+        seats, _ = programs.learn(seats, _frames(runs, call), slots, np.int32(len(listed)))
     train = jax.device_get(seats.train.learner)
     return {run: jax.tree.map(lambda leaf, s=slot: leaf[s], train) for slot, run in enumerate(runs)}
+
+
+def _empty(num_runs, device=0):
+    return batch.empty_seats(_AGENT, num_runs, 64, cpu_device(device), _hyper(0))
 
 
 def _same(one, other):
@@ -55,7 +55,7 @@ def _same(one, other):
 
 @pytest.fixture(scope="module")
 def plainly():
-    """The same learning without vmap, mesh or loop: one run after the other."""
+    """The same learning without vmap or loop: one run after the other."""
     learn = jax.jit(
         lambda state, memory, hyper: agents.learn(
             _AGENT, hyper, state, memory, jnp.int32(0), _UPDATES
@@ -79,8 +79,7 @@ def test_a_run_in_the_batch_equals_the_run_alone(plainly, tile):
 
 
 def test_order_and_devices_do_not_matter(plainly):
-    one_device = batch.make_mesh(jax.devices()[:1])
-    for learned in (_learn([3, 0, 5, 1, 4, 2], 3), _learn([2, 4, 1], 2, one_device)):
+    for learned in (_learn([3, 0, 5, 1, 4, 2], 3), _learn([2, 4, 1], 2, device=1)):
         for run, learner in learned.items():
             _same(learner, plainly[run])
 
@@ -95,25 +94,15 @@ def test_a_run_that_is_not_listed_does_not_change(plainly):
 
 
 def test_the_ring_is_updated_in_place():
-    mesh = batch.make_mesh()
-    seats = batch.empty_seats(_AGENT, 4, 64, mesh, _hyper(0))
-    programs = batch.make_programs(_AGENT, mesh, _UPDATES, 2)
-    slots, count = np.zeros(4, np.int32), np.zeros(mesh.size, np.int32)
+    seats = _empty(4)
+    programs = batch.make_programs(_AGENT, _UPDATES, 2)
     frames = _frames(range(4))
-    seats, _ = programs.learn(seats, frames, slots, count)
-
-    def pointers():
-        shards = seats.memory.frames.addressable_shards
-        return [shard.data.unsafe_buffer_pointer() for shard in shards]
-
-    before = pointers()
-    seats, _ = programs.learn(seats, frames, slots, count)
-    assert pointers() == before
-
-
-def test_runs_must_divide_over_the_devices():
-    with pytest.raises(ValueError, match="3 runs do not divide over 2 devices"):
-        batch.empty_seats(_AGENT, 3, 64, batch.make_mesh(), _hyper(0))
+    pointers = []
+    for _ in range(2):
+        seats, _ = programs.learn(seats, frames, np.zeros(4, np.int32), np.int32(0))
+        memory = seats.memory
+        pointers.append([ring.unsafe_buffer_pointer() for ring in (memory.seen, memory.outcome)])
+    assert pointers[0] == pointers[1]
 
 
 def test_keys_come_from_method_and_seed():

@@ -9,6 +9,7 @@ from toy import ToyPool
 from experiments.benchmarks.timing import memory_mb
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.devices import learning_devices
 from hitl_jax.rollout import LoopConfig, Rollout, RunSpec, episode_seed, num_slots
 
 _CONFIG = AgentConfig(hidden_sizes=(16, 16), batch_size=16, n_step=2)
@@ -73,18 +74,23 @@ def test_nothing_is_compiled_again():
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     specs = [_spec(method, seed) for seed in range(3) for method in Method]
-    rollout = Rollout(make_agent(_CONFIG), specs, ToyPool(4), _LOOP, 1)
-    counts, finished = [], []
+    slots, num_devices = 4, len(learning_devices())
+    rollout = Rollout(make_agent(_CONFIG), specs, ToyPool(slots), _LOOP, 1)
+    counts, finished, devices = [], 0, set()
+    known = None
     for done in rollout:
-        finished.append(len(done))
+        finished += len(done)
         counts.append(len(compiled))
-    assert sum(finished) == len(specs)
+        devices |= {run.run.slot * num_devices // slots for run in done}
+        if known is None and len(devices) == num_devices:
+            known = len(counts) - 1
+    assert finished == len(specs)
     assert counts[0] > 0
-    # The first run to finish brings the last programs (taking its rows out). After that runs end,
-    # others are seated, the number that learns changes, and nothing is compiled.
-    first = int(np.flatnonzero(finished)[0])
-    assert first < len(counts) - 1
-    assert counts[first] == counts[-1]
+    # The first run to finish on a device brings its last program (taking the rows out). After that
+    # runs end, others are seated, the number that learns changes, and nothing is compiled.
+    assert known is not None
+    assert known < len(counts) - 1
+    assert counts[known] == counts[-1]
 
 
 def test_memory_is_flat():

@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.benchmarks.timing import Row, best
-from hitl_jax import batch
+from hitl_jax import batch, replay
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.devices import learning_devices
 from hitl_jax.keys import make_key
-from hitl_jax.rollout import num_slots
+from hitl_jax.rollout import LoopConfig, num_slots
 from hitl_jax.types import Params
 
 PRODUCT_SIZE = 2048
@@ -70,8 +71,8 @@ def measure_learner(seconds: float, tile: int) -> list[Row]:
 
 def make_learner(
     config: AgentConfig, runs: int, num_updates: int, tile: int
-) -> Callable[[], Params]:
-    """A call that makes `num_updates` updates of each run, from a small replay.
+) -> Callable[[], list[Params]]:
+    """A call that makes `num_updates` updates of each run, from a full replay.
 
     Args:
         config: static choices.
@@ -80,26 +81,27 @@ def make_learner(
         tile: runs vmapped together on one device.
     """
     agent = make_agent(config)
-    mesh = batch.make_mesh()
-    chunk, capacity = 16, 16 * 256
+    programs = batch.make_programs(agent, num_updates, tile)
     hyper = jax.tree.map(np.asarray, hyper_for(Method.HITL_AC, Hyper()))
-    seats = batch.empty_seats(agent, runs, capacity, mesh, hyper)
-    programs = batch.make_programs(agent, mesh, num_updates, tile)
-    for slot in range(runs):
-        seats = programs.seat(seats, slot, hyper, make_key(slot))
-    layout = agent.layout
-    frames = np.random.default_rng(0).normal(size=(runs, chunk, layout.width)).astype(np.float32)
-    frames[:, :, layout.terminated : layout.final + 1] = 0.0
-    share = runs // mesh.size
-    slots = np.tile(np.arange(share, dtype=np.int32), mesh.size)
-    nobody, everybody = (np.full(mesh.size, n, np.int32) for n in (0, share))
-    for _ in range(capacity // chunk):
-        seats, _ = programs.learn(seats, frames, slots, nobody)
+    layout, loop = agent.layout, LoopConfig()
+    share = runs // len(learning_devices())
+    rng = np.random.default_rng(0)
+    past = rng.standard_normal((share, loop.frames, layout.width), np.float32)
+    past[:, :, layout.terminated : layout.final + 1] = 0.0
+    add = jax.jit(replay.add, donate_argnums=0)
+    seats = []
+    for device in learning_devices():
+        empty = batch.empty_seats(agent, share, loop.frames, device, hyper)
+        for column in range(share):
+            empty = programs.seat(empty, column, hyper, make_key(column))
+        seats.append(empty._replace(memory=add(empty.memory, past)))
+    frames = past[:, : loop.chunk]
+    slots = np.arange(share, dtype=np.int32)
 
-    def learn() -> Params:
-        nonlocal seats
-        seats, _ = programs.learn(seats, frames, slots, everybody)
-        return seats.train.learner.actor
+    def learn() -> list[Params]:
+        for index, before in enumerate(seats):
+            seats[index], _ = programs.learn(before, frames, slots, np.int32(share))
+        return [after.train.learner.actor for after in seats]
 
     return learn
 

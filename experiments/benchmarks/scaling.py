@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from experiments.benchmarks.loop import play, specs_of, warm_up
 from experiments.benchmarks.timing import Row, memory_mb
-from experiments.devices import keep_programs, use_all_cores
+from experiments.compile_cache import keep_programs
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Method
 from hitl_jax.envs import make_pool
@@ -101,7 +101,6 @@ def _started(runs: int, seconds: float, cache: str) -> Row:
 
 def _measure(runs: int, seconds: float, started: float) -> Row:
     """One size in this process; `started` is when its parent asked for it [s since the epoch]."""
-    use_all_cores()
     keep_programs()
     config = LoopConfig()
     with make_pool("lean", num_slots(runs, SLOTS)) as pool:

@@ -6,8 +6,7 @@ import sys
 
 _SCRIPT = """
 import sys
-from experiments.devices import keep_programs, use_all_cores
-use_all_cores()
+from experiments.compile_cache import keep_programs
 keep_programs()
 from toy import ToyPool
 from experiments.benchmarks.loop import specs_of
