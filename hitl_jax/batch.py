@@ -11,7 +11,7 @@ Acting. One small program for all runs on one device, called once a tick by the 
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import chex
@@ -66,15 +66,21 @@ class Programs(NamedTuple):
         seat_acting: (acting, slot, hyper, key) to acting with a fresh run in `slot`; donates.
         act: (acting, behavior, observation [R, O], live bool [R]) to (acting, packed [R, W + 6]).
         learn: (seats, frames [R, U, W], slots int32 [R], count int32 []) to seats and a copy of
-            what acting needs of them; donates. The first `count` of `slots` learn.
-        seat_behavior: (behavior, slot, row) to behavior, for a fresh run in `slot`; donates.
+            what acting needs of them, packed [R, P]; donates. The first `count` of `slots` learn.
+        pack: training states [R, ...] to what acting needs of them, packed [R, P].
+        seat_packed: (packed [R, P], slot, packed [1, P]) to packed, for a fresh run in `slot`;
+            donates.
+        unpack: (packed of each device) to what acting needs of all runs, one device after the
+            other.
     """
 
     seat: Callable[..., Seats]
     seat_acting: Callable[..., Acting]
     act: Callable[..., tuple[Acting, chex.Array]]
-    learn: Callable[..., tuple[Seats, Behavior]]
-    seat_behavior: Callable[..., Behavior]
+    learn: Callable[..., tuple[Seats, chex.Array]]
+    pack: Callable[[TrainState], chex.Array]
+    seat_packed: Callable[..., chex.Array]
+    unpack: Callable[[Sequence[chex.Array]], Behavior]
 
 
 def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, chex.PRNGKey]:
@@ -147,13 +153,35 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
             hyper=_put(acting.hyper, slot, hyper),
         )
 
-    learn = functools.partial(_learn_all, agent, num_updates, tile)
+    # Hyperparameters go in and do not come out: each array of a call costs the host time.
+    act_all = jax.jit(functools.partial(_act_all, agent), donate_argnums=0)
+    learn_all = jax.jit(functools.partial(_learn_all, agent, num_updates, tile), donate_argnums=0)
+
+    def act(
+        acting: Acting, params: Behavior, observation: chex.Array, live: chex.Array
+    ) -> tuple[Acting, chex.Array]:
+        state, packed = act_all(acting.state, acting.hyper, params, observation, live)
+        return acting._replace(state=state), packed
+
+    def learn(
+        seats: Seats, frames: chex.Array, slots: chex.Array, count: chex.Array
+    ) -> tuple[Seats, chex.Array]:
+        (train, memory), packed = learn_all(
+            (seats.train, seats.memory), seats.hyper, frames, slots, count
+        )
+        return seats._replace(train=train, memory=memory), packed
+
+    def seat_packed(packed: chex.Array, slot: chex.Array, row: chex.Array) -> chex.Array:
+        return packed.at[slot].set(row[0])
+
     return Programs(
         seat=jax.jit(seat, donate_argnums=0),
         seat_acting=jax.jit(seat_acting, donate_argnums=0),
-        act=jax.jit(functools.partial(_act_all, agent), donate_argnums=0),
-        learn=jax.jit(learn, donate_argnums=0),
-        seat_behavior=jax.jit(_put, donate_argnums=0),
+        act=act,
+        learn=learn,
+        pack=jax.jit(_pack),
+        seat_packed=jax.jit(seat_packed, donate_argnums=0),
+        unpack=jax.jit(functools.partial(_unpack, agent)),
     )
 
 
@@ -196,23 +224,49 @@ def unpack(packed: np.ndarray, layout: replay.Layout) -> tuple[np.ndarray, dict[
 
 
 def _act_all(
-    agent: Agent, acting: Acting, params: Behavior, observation: chex.Array, live: chex.Array
-) -> tuple[Acting, chex.Array]:
+    agent: Agent,
+    state: ActingState,
+    hyper: RunHyper,
+    params: Behavior,
+    observation: chex.Array,
+    live: chex.Array,
+) -> tuple[ActingState, chex.Array]:
     step = functools.partial(act_or_begin, agent)
-    state, packed = jax.vmap(step)(acting.hyper, params, acting.state, observation, live)
-    return Acting(state=state, hyper=acting.hyper), packed
+    return jax.vmap(step)(hyper, params, state, observation, live)
+
+
+def _pack(train: TrainState) -> chex.Array:
+    leaves = jax.tree.leaves(agents.behavior(train))
+    return jnp.concatenate([leaf.reshape(leaf.shape[0], -1) for leaf in leaves], axis=1)
+
+
+def _unpack(agent: Agent, packed: Sequence[chex.Array]) -> Behavior:
+    rows = jnp.concatenate(packed)
+    like = agents.behavior(jax.eval_shape(lambda: agents.init(agent, make_key(0))))
+    leaves, structure = jax.tree.flatten(like)
+    ends = np.cumsum([leaf.size for leaf in leaves])
+    columns = jnp.split(rows, ends[:-1], axis=1)
+    return jax.tree.unflatten(
+        structure,
+        [
+            column.reshape(len(rows), *leaf.shape)
+            for column, leaf in zip(columns, leaves, strict=True)
+        ],
+    )
 
 
 def _learn_all(
     agent: Agent,
     num_updates: int,
     tile: int,
-    seats: Seats,
+    learned: tuple[TrainState, replay.Replay],
+    hyper: RunHyper,
     frames: chex.Array,
     slots: chex.Array,
     count: chex.Array,
-) -> tuple[Seats, Behavior]:
-    memory = replay.add(seats.memory, frames)
+) -> tuple[tuple[TrainState, replay.Replay], chex.Array]:
+    before, memory = learned
+    memory = replay.add(memory, frames)
     slots = jnp.concatenate([slots, jnp.zeros((tile,), slots.dtype)])
 
     def one(
@@ -226,14 +280,14 @@ def _learn_all(
         chosen = jax.lax.dynamic_slice_in_dim(slots, index * tile, tile)
         filled = index * tile + jnp.arange(tile) < count
         chosen = jnp.where(filled, chosen, chosen[0])
-        chosen_rows = jax.tree.map(functools.partial(_take, chosen), (seats.hyper, train))
-        hyper, rows = jax.lax.optimization_barrier(chosen_rows)
-        after = several(hyper, rows, memory, chosen)
+        chosen_rows = jax.tree.map(functools.partial(_take, chosen), (hyper, train))
+        hyper_rows, rows = jax.lax.optimization_barrier(chosen_rows)
+        after = several(hyper_rows, rows, memory, chosen)
         return jax.tree.map(functools.partial(_give, chosen), train, after)
 
     tiles = (count + tile - 1) // tile
-    train = jax.lax.fori_loop(0, tiles, learn_tile, seats.train)
-    return Seats(train=train, hyper=seats.hyper, memory=memory), agents.behavior(train)
+    train = jax.lax.fori_loop(0, tiles, learn_tile, before)
+    return (train, memory), _pack(train)
 
 
 def _take(chosen: chex.Array, leaf: chex.Array) -> chex.Array:

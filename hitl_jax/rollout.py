@@ -18,10 +18,8 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax import agent as agents
 from hitl_jax import arbiter, batch
 from hitl_jax.agent import Agent
 from hitl_jax.config import Method, RunHyper, require
@@ -198,8 +196,9 @@ class Rollout:
             for device in self._devices
         ]
         self._acting = batch.empty_acting(agent, slots, self._acting_device, like)
-        learned = [agents.behavior(seats.train) for seats in self._seats]
-        self._learned = deque(jax.tree.map(jnp.copy, learned) for _ in range(LAG + 1))
+        self._learned = deque(
+            [self._programs.pack(seats.train) for seats in self._seats] for _ in range(LAG + 1)
+        )
 
         self._queue = deque(specs)
         self._runs: list[Run | None] = [None] * slots
@@ -210,8 +209,11 @@ class Rollout:
         self._feedback = np.zeros(slots)
         self._has_arbiter = np.zeros(slots, bool)
         self._observation = np.zeros((slots, pool.observation_size), np.float32)
-        self._take = jax.jit(lambda tree, slot: jax.tree.map(lambda leaf: leaf[slot], tree))
-        self._join = jax.jit(lambda parts: jax.tree.map(lambda *p: jnp.concatenate(p), *parts))
+        self._take = jax.jit(
+            lambda tree, column: jax.tree.map(
+                lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, column, 1), tree
+            )
+        )
         for slot in self._slot_order():
             self._seat(slot)
         self._behavior = self._to_acting(self._learned.popleft())
@@ -239,7 +241,7 @@ class Rollout:
         train = dataclasses.replace(self._seats[device].train, key=None)
         return FinishedRun(
             run=run,
-            train=jax.device_get(self._take(train, column)),
+            train=jax.tree.map(lambda leaf: leaf[0], jax.device_get(self._take(train, column))),
             boundary=np.asarray(self._acting.state.boundary)[run.slot],
         )
 
@@ -259,9 +261,9 @@ class Rollout:
         self._seats[device] = self._programs.seat(self._seats[device], column, hyper, learning)
         acting_key = jax.device_put(acting, self._acting_device)
         self._acting = self._programs.seat_acting(self._acting, slot, hyper, acting_key)
-        fresh = agents.behavior(self._take(self._seats[device].train, column))
+        fresh = self._programs.pack(self._take(self._seats[device].train, column))
         for waiting in self._learned:
-            waiting[device] = self._programs.seat_behavior(waiting[device], column, fresh)
+            waiting[device] = self._programs.seat_packed(waiting[device], column, fresh)
         self._runs[slot] = Run(spec=spec, slot=slot)
         self._counter.clear(slot)
         self._active[slot] = True
@@ -346,7 +348,7 @@ class Rollout:
                 device, column = divmod(run.slot, self._share)
                 columns[device].append(column)
                 run.updates += self._num_updates
-        learned: list[Behavior] = []
+        learned: list[jax.Array] = []
         for device, listed in enumerate(columns):
             slots = np.zeros(self._share, np.int32)
             slots[: len(listed)] = listed
@@ -357,9 +359,9 @@ class Rollout:
             learned.append(after)
         self._learned.append(learned)
 
-    def _to_acting(self, learned: list[Behavior]) -> Behavior:
-        """A copy on the acting device, of all runs together."""
-        return self._join(jax.device_put(learned, self._acting_device))
+    def _to_acting(self, packed: list[jax.Array]) -> Behavior:
+        """What acting needs, of all runs, on its device."""
+        return self._programs.unpack(jax.device_put(packed, self._acting_device))
 
 
 def _typed(hyper: RunHyper) -> RunHyper:

@@ -14,9 +14,9 @@ from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Method
 from hitl_jax.rollout import LoopConfig, Rollout
 import jax
-loaded = []
+missed = []
 jax.monitoring.register_event_listener(
-    lambda event, **_: loaded.append(event) if event.endswith("cache_hits") else None
+    lambda event, **_: missed.append(event) if event.endswith("cache_misses") else None
 )
 agent = make_agent(AgentConfig(hidden_sizes=(16,), batch_size=16))
 rollout = Rollout(agent, specs_of(list(Method), 4), ToyPool(4), LoopConfig(capacity=1024))
@@ -24,7 +24,7 @@ chunks = iter(rollout)
 for _ in range(50):
     next(chunks)
 train = rollout.collect(rollout.runs()[0]).train
-print(len(loaded) > 0, [leaf.tobytes().hex() for leaf in jax.tree.leaves(train.learner.actor)])
+print(len(missed) == 0, [leaf.tobytes().hex() for leaf in jax.tree.leaves(train.learner.actor)])
 """
 
 
