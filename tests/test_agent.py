@@ -179,6 +179,21 @@ def test_exploration_noise_has_its_scale_and_correlation():
     np.testing.assert_allclose(correlation, 0.8, atol=0.02)
 
 
+def test_every_so_many_episodes_are_noise_free():
+    agent = agents.make_agent(AgentConfig())
+    hyper = hyper_for(Method.SRL, Hyper(noise_free_every=3, warmup_steps=0))
+    params = agents.behavior(agents.init(agent, jax.random.key(1)))
+    observation = _walk([0.0])[0]
+    greedy = agent.actor.apply(params.actor, observation)
+    state = acting.init_acting(agent, hyper, jax.random.key(0))
+    noise_free = []
+    for _ in range(7):
+        state = acting.begin_episode(agent, state)
+        state, decision = acting.act(agent, hyper, params, state, observation)
+        noise_free.append(bool(jnp.all(decision.action == greedy)))
+    assert noise_free == [False, False, True, False, False, True, False]
+
+
 def test_updates_must_keep_step_with_the_policy_delay():
     agent = _probe_agent("td3")
     with pytest.raises(ValueError, match="policy delay 2"):

@@ -8,7 +8,9 @@ differently leaves every bit of an episode as it was:
 - Lidar over plain terrain is computed here, in Box2D's own order of float32 operations, for all
   walkers of a process at once; through Box2D each ray calls back into Python.
 - Observations and rewards are computed for all walkers at once.
-- The world is dropped whole at a reset, not body by body.
+- The world is dropped whole at a reset, not body by body; clouds are drawn from the generator, not
+  built.
+- Who touches the ground is told by the address of a body, not by comparing proxies.
 """
 
 import math
@@ -19,7 +21,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from Box2D import b2World  # type: ignore[import-untyped]
+from Box2D import b2ContactListener, b2World  # type: ignore[import-untyped]
 from gymnasium.envs.box2d import bipedal_walker as official
 
 from hitl_jax.envs.base import Command
@@ -38,6 +40,9 @@ _WINDOW = math.ceil(_REACH[0].max() / official.TERRAIN_STEP) + 3
 _BODIES = 20
 """Bodies that the edges share in turn. Contacts with one body are not independent of each other in
 Box2D; edges of one body are so far apart (9 m) that a walker (at most 5 m) meets one at a time."""
+
+_CLOUD_DRAWS = official.TERRAIN_LENGTH // 20 * 11
+"""Numbers that gymnasium draws for its clouds: of each, a place and five corners."""
 
 # Elsewhere the compiler of Box2D may have fused a product and a sum, which rounds differently.
 _ROUNDS_ALIKE = platform.machine().lower() in ("x86_64", "amd64")
@@ -61,6 +66,31 @@ class _Recorder:
 def _blank() -> Any:
     """Takes the place of a fixture definition, which copies its vertices into Box2D."""
     return types.SimpleNamespace(shape=types.SimpleNamespace(vertices=()))
+
+
+class _Contacts(b2ContactListener):
+    """Notes on a walker's parts whether they touch the ground, as gymnasium's listener does."""
+
+    def __init__(self, walker: "_Walker"):
+        super().__init__()
+        assert walker.hull is not None
+        self._walker = walker
+        self._hull = int(walker.hull.this)
+        self._feet = {int(foot.this): foot for foot in (walker.legs[1], walker.legs[3])}
+
+    def BeginContact(self, contact: Any) -> None:
+        """The hull ends the episode, a foot stands."""
+        for body in (int(contact.fixtureA.body.this), int(contact.fixtureB.body.this)):
+            if body in self._feet:
+                self._feet[body].ground_contact = True
+            elif body == self._hull:
+                self._walker.game_over = True
+
+    def EndContact(self, contact: Any) -> None:
+        """A foot has left one of the things that it stood on."""
+        for body in (int(contact.fixtureA.body.this), int(contact.fixtureB.body.this)):
+            if body in self._feet:
+                self._feet[body].ground_contact = False
 
 
 class _Walker(official.BipedalWalker):
@@ -93,8 +123,14 @@ class _Walker(official.BipedalWalker):
             bodies[place % _BODIES].CreateFixture(self._edge)
         self.only_edges = not obstacles
 
+    def _generate_clouds(self) -> None:
+        self.np_random.random(_CLOUD_DRAWS)
+
     def step(self, action: np.ndarray) -> Any:
         """The step without motors that ends gymnasium's reset; what it saw is read from outside."""
+        # The world keeps no reference of its own to its listener.
+        self.world.contactListener_bug_workaround = _Contacts(self)
+        self.world.contactListener = self.world.contactListener_bug_workaround
         self.advance([0.0] * 4, [0.0] * 4)
         return None, 0.0, False, False, {}
 
