@@ -271,26 +271,35 @@ def learn(
         )
 
     key, sample_key, noise_key, boundary_key = jax.random.split(state.key, 4)
-    # Everything random is drawn at once: a generator is many small kernels, whatever it draws.
+    # Everything random is drawn at once: a generator is many small kernels, whatever it draws. Rows
+    # are read at each update: read at once, XLA would find their places anew for every number.
     shape = (num_updates // config.policy_delay, config.policy_delay, config.batch_size)
-    draws = num_updates * config.batch_size
-    batches = replay.sample(
-        memory, agent.layout, column, sample_key, draws, config.n_step, hyper.gamma
+    drawn = replay.draw(
+        memory,
+        agent.layout,
+        column,
+        sample_key,
+        num_updates * config.batch_size,
+        config.n_step,
+        hyper.gamma,
     )
-    batches = jax.tree.map(lambda leaf: leaf.reshape(shape + leaf.shape[1:]), batches)
+    drawn = jax.tree.map(lambda leaf: leaf.reshape(shape), drawn)
     noise = jax.random.normal(noise_key, (*shape, config.action_size))
     pool = replay.sample_boundary(
         memory, agent.layout, column, boundary_key, config.boundary_batch_size, hyper.gamma
     )
 
-    def several(state: TrainState, drawn: tuple[Transition, chex.Array]) -> tuple[TrainState, None]:
+    def several(
+        state: TrainState, given: tuple[replay.Draw, chex.Array]
+    ) -> tuple[TrainState, None]:
         for index in range(config.policy_delay):
-            batch, batch_noise = jax.tree.map(operator.itemgetter(index), drawn)
+            draw, draw_noise = jax.tree.map(operator.itemgetter(index), given)
+            batch = replay.read(memory, agent.layout, column, draw)
             last = index == config.policy_delay - 1
-            state, _metrics = update(agent, hyper, state, batch, batch_noise, update_actor=last)
+            state, _metrics = update(agent, hyper, state, batch, draw_noise, update_actor=last)
         return state, None
 
-    state, _ = jax.lax.scan(several, dataclasses.replace(state, key=key), (batches, noise))
+    state, _ = jax.lax.scan(several, dataclasses.replace(state, key=key), (drawn, noise))
     state, _metrics = update_boundary(agent, hyper, state, pool)
     return state
 

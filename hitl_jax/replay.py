@@ -162,7 +162,24 @@ def num_starts(replay: Replay, column: chex.Array, n_step: int) -> chex.Array:
     return jnp.maximum(replay.cursor - n_step - oldest, 0)
 
 
-def sample(
+@struct.dataclass
+class Draw:
+    """Drawn n-step transitions: where their observations stand in the ring, and what lies between.
+
+    Attributes:
+        start: place of the first frame, int32 [...].
+        after: place of the frame of the bootstrap, int32 [...].
+        reward: R, [...].
+        discount: of the bootstrap, [...].
+    """
+
+    start: chex.Array
+    after: chex.Array
+    reward: chex.Array
+    discount: chex.Array
+
+
+def draw(
     replay: Replay,
     layout: Layout,
     column: chex.Array,
@@ -170,7 +187,7 @@ def sample(
     batch_size: int,
     n_step: int,
     gamma: chex.Array,
-) -> Transition:
+) -> Draw:
     """Draws n-step transitions of one run, uniformly with replacement.
 
     R = Σ_{i<m} γ^i r_{t+i}, where m is n or the number of steps left in the episode. The bootstrap
@@ -187,26 +204,43 @@ def sample(
         gamma: γ, [].
 
     Returns:
-        A minibatch, leading axis B.
+        Draws, leaves [B].
     """
+    capacity = replay.seen.shape[1]
     begin = _starts(replay, layout, column, key, batch_size, n_step)
-    outcome = _read(replay.outcome, column, begin[:, None] + jnp.arange(n_step))
+    window = (begin[:, None] + jnp.arange(n_step)) % capacity
     reward, terminated, truncated = (
-        outcome[..., index - layout.reward]
+        replay.outcome[column, window, index - layout.reward]
         for index in (layout.reward, layout.terminated, layout.truncated)
     )
     # alive[:, i]: the episode had not ended before step i of the window.
     alive = jnp.cumprod(1.0 - terminated - truncated, axis=1)
     alive = jnp.concatenate([jnp.ones((batch_size, 1)), alive[:, :-1]], axis=1)
     taken = jnp.sum(alive, axis=1).astype(jnp.int32)
-    seen = _read(replay.seen, column, begin)
-    after = _read(replay.seen, column, begin + taken)
+    return Draw(
+        start=window[:, 0],
+        after=(begin + taken) % capacity,
+        reward=jnp.sum(alive * gamma ** jnp.arange(n_step) * reward, axis=1),
+        discount=gamma**taken * (1.0 - jnp.sum(alive * terminated, axis=1)),
+    )
+
+
+def read(replay: Replay, layout: Layout, column: chex.Array, drawn: Draw) -> Transition:
+    """The minibatch that was drawn, leading axis B.
+
+    Args:
+        replay: the ring, as it was when they were drawn.
+        layout: its columns.
+        column: the run's column, [].
+        drawn: leaves [B].
+    """
+    seen = replay.seen[column, drawn.start]
     return Transition(
         observation=seen[:, layout.observation],
         action=seen[:, layout.action],
-        reward=jnp.sum(alive * gamma ** jnp.arange(n_step) * reward, axis=1),
-        discount=gamma**taken * (1.0 - jnp.sum(alive * terminated, axis=1)),
-        next_observation=after[:, layout.observation],
+        reward=drawn.reward,
+        discount=drawn.discount,
+        next_observation=replay.seen[column, drawn.after, layout.observation],
     )
 
 
@@ -231,10 +265,11 @@ def sample_boundary(
     Returns:
         A minibatch, leading axis N.
     """
+    capacity = replay.seen.shape[1]
     begin = _starts(replay, layout, column, key, batch_size, 1)
-    seen = _read(replay.seen, column, begin)
-    after = _read(replay.seen, column, begin + 1)
-    outcome = _read(replay.outcome, column, begin)
+    seen = replay.seen[column, begin % capacity]
+    after = replay.seen[column, (begin + 1) % capacity]
+    outcome = replay.outcome[column, begin % capacity]
 
     def came(index: int) -> chex.Array:
         return outcome[:, index - layout.reward]
@@ -249,15 +284,6 @@ def sample_boundary(
     )
 
 
-def _read(ring: chex.Array, column: chex.Array, numbers: chex.Array) -> chex.Array:
-    """Frames of a column by their numbers, of any shape.
-
-    Fused with what follows, the reading of a ring of other shape would round it otherwise: a run
-    would feel how many stand beside it.
-    """
-    return jax.lax.optimization_barrier(ring[column, numbers % ring.shape[1]])
-
-
 def _starts(
     replay: Replay,
     layout: Layout,
@@ -270,7 +296,8 @@ def _starts(
     count = num_starts(replay, column, n_step)
     oldest = replay.cursor - n_step - count
     draws = jax.random.randint(key, (_DRAWS, batch_size), 0, jnp.maximum(count, 1))
-    final = _read(replay.outcome, column, oldest + draws)[..., layout.final - layout.reward] > 0.5
+    places = (oldest + draws) % replay.seen.shape[1]
+    final = replay.outcome[column, places, layout.final - layout.reward] > 0.5
     chosen = jnp.argmin(final, axis=0)
     begin = jnp.take_along_axis(draws, chosen[None], axis=0)[0]
     still_final = jnp.take_along_axis(final, chosen[None], axis=0)[0]

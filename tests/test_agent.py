@@ -47,9 +47,10 @@ def test_learns_a_policy_of_known_value(learner, layer_norm):
     steps[:, agent.layout.reward] = 1 - (steps[:, 1] - steps[:, 0] / 2) ** 2
     steps[:, agent.layout.terminated] = 1
     finals[:, agent.layout.final] = 1
-    # At 1e-3 the actor hovers 0.05 to 0.11 about the optimum, normalised or not.
+    # At 1e-3 the actor hovers 0.05 to 0.11 about the optimum, normalised or not; of eight seeds,
+    # normalised and at 3e-4, the worst ends 0.12 from it after 2000 updates, 0.09 after 4000.
     hyper = _probe_hyper(actor_learning_rate=3e-4 if layer_norm else 1e-3)
-    state = _train(agent, hyper, frames, 2000)
+    state = _train(agent, hyper, frames, 4000 if layer_norm else 2000)
     observation = jnp.linspace(-0.9, 0.9, 7)[:, None]
     action = agent.actor.apply(state.learner.actor, observation)
     np.testing.assert_allclose(action, observation / 2, atol=0.1)

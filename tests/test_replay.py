@@ -38,7 +38,8 @@ def _filled(capacity, *frames):
 
 
 def _sample(memory, column=0, n_step=3, gamma=0.5, batch=512, seed=0):
-    return replay.sample(memory, _LAYOUT, column, jax.random.key(seed), batch, n_step, gamma)
+    drawn = replay.draw(memory, _LAYOUT, column, jax.random.key(seed), batch, n_step, gamma)
+    return replay.read(memory, _LAYOUT, column, drawn)
 
 
 def test_n_step_by_hand():
@@ -146,7 +147,8 @@ def test_jit_and_vmap_agree_with_plain_calls():
     keys = jax.random.split(jax.random.key(1), _RUNS)
 
     def one(column, key):
-        return replay.sample(memory, _LAYOUT, column, key, 64, 3, 0.9)
+        drawn = replay.draw(memory, _LAYOUT, column, key, 64, 3, 0.9)
+        return replay.read(memory, _LAYOUT, column, drawn)
 
     together = jax.jit(jax.vmap(one))(jnp.arange(_RUNS), keys)
     for run in range(_RUNS):
