@@ -4,7 +4,7 @@ SBX plays and learns one run a process: one process; one a core, as they are sta
 kept to its core; and these with sixteen updates after sixteen steps, which it compiles into one
 call. We play 30 runs of the same network (no normalisation), batch, n and update ratio, on the
 official walker and on the lean one. What still differs: SBX moves its targets at every update, we
-at every second, and its actor follows the lesser of both critics, ours the first, as in TD3's paper.
+at every second, and its actor follows the lesser of both critics, ours the first, as in TD3.
 """
 
 import importlib.metadata
