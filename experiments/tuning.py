@@ -60,7 +60,9 @@ class TuningOptions:
 
     Attributes:
         configurations: some of 128-batch-128, 128-batch-64, 128-batch-64-norm, 64-batch-128,
-            64-batch-128-ratio-1, 128-batch-64-norm-n-8 (hidden units, minibatch, what else).
+            128-batch-64-norm-quiet, 64-batch-64-norm-quiet, 128-batch-64-norm-quiet-lr-5e-4,
+            128-batch-64-norm-quiet-n-8 (hidden units, minibatch, what else; `quiet` plays every
+            fourth training episode without action noise).
         seeds: number of seeds for each method.
         first_seed: the first of them; a sweep reports others.
         ticks: ticks of a run: environment steps and resets.

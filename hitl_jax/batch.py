@@ -67,20 +67,20 @@ class Programs(NamedTuple):
         act: (acting, behavior, observation [R, O], live bool [R]) to (acting, packed [R, W + 6]).
         learn: (seats, frames [R, U, W], slots int32 [R], count int32 []) to seats and a copy of
             what acting needs of them, packed [R, P]; donates. The first `count` of `slots` learn.
-        pack: training states [R, ...] to what acting needs of them, packed [R, P].
-        seat_packed: (packed [R, P], slot, packed [1, P]) to packed, for a fresh run in `slot`;
+        pack_behavior: training states [R, ...] to what acting needs of them, packed [R, P].
+        seat_behavior: (packed [R, P], slot, row [1, P]) to packed, for a fresh run in `slot`;
             donates.
-        unpack: (packed of each device) to what acting needs of all runs, one device after the
-            other.
+        unpack_behavior: (packed of each device) to what acting needs of all runs, one device after
+            the other.
     """
 
     seat: Callable[..., Seats]
     seat_acting: Callable[..., Acting]
     act: Callable[..., tuple[Acting, chex.Array]]
     learn: Callable[..., tuple[Seats, chex.Array]]
-    pack: Callable[[TrainState], chex.Array]
-    seat_packed: Callable[..., chex.Array]
-    unpack: Callable[[Sequence[chex.Array]], Behavior]
+    pack_behavior: Callable[[TrainState], chex.Array]
+    seat_behavior: Callable[..., chex.Array]
+    unpack_behavior: Callable[[Sequence[chex.Array]], Behavior]
 
 
 def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, chex.PRNGKey]:
@@ -171,7 +171,7 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         )
         return seats._replace(train=train, memory=memory), packed
 
-    def seat_packed(packed: chex.Array, slot: chex.Array, row: chex.Array) -> chex.Array:
+    def seat_behavior(packed: chex.Array, slot: chex.Array, row: chex.Array) -> chex.Array:
         return packed.at[slot].set(row[0])
 
     return Programs(
@@ -179,9 +179,9 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         seat_acting=jax.jit(seat_acting, donate_argnums=0),
         act=act,
         learn=learn,
-        pack=jax.jit(_pack),
-        seat_packed=jax.jit(seat_packed, donate_argnums=0),
-        unpack=jax.jit(functools.partial(_unpack, agent)),
+        pack_behavior=jax.jit(_pack_behavior),
+        seat_behavior=jax.jit(seat_behavior, donate_argnums=0),
+        unpack_behavior=jax.jit(functools.partial(_unpack_behavior, agent)),
     )
 
 
@@ -235,12 +235,12 @@ def _act_all(
     return jax.vmap(step)(hyper, params, state, observation, live)
 
 
-def _pack(train: TrainState) -> chex.Array:
+def _pack_behavior(train: TrainState) -> chex.Array:
     leaves = jax.tree.leaves(agents.behavior(train))
     return jnp.concatenate([leaf.reshape(leaf.shape[0], -1) for leaf in leaves], axis=1)
 
 
-def _unpack(agent: Agent, packed: Sequence[chex.Array]) -> Behavior:
+def _unpack_behavior(agent: Agent, packed: Sequence[chex.Array]) -> Behavior:
     rows = jnp.concatenate(packed)
     like = agents.behavior(jax.eval_shape(lambda: agents.init(agent, make_key(0))))
     leaves, structure = jax.tree.flatten(like)
@@ -287,7 +287,7 @@ def _learn_all(
 
     tiles = (count + tile - 1) // tile
     train = jax.lax.fori_loop(0, tiles, learn_tile, before)
-    return (train, memory), _pack(train)
+    return (train, memory), _pack_behavior(train)
 
 
 def _take(chosen: chex.Array, leaf: chex.Array) -> chex.Array:

@@ -197,7 +197,8 @@ class Rollout:
         ]
         self._acting = batch.empty_acting(agent, slots, self._acting_device, like)
         self._learned = deque(
-            [self._programs.pack(seats.train) for seats in self._seats] for _ in range(LAG + 1)
+            [self._programs.pack_behavior(seats.train) for seats in self._seats]
+            for _ in range(LAG + 1)
         )
 
         self._queue = deque(specs)
@@ -261,9 +262,9 @@ class Rollout:
         self._seats[device] = self._programs.seat(self._seats[device], column, hyper, learning)
         acting_key = jax.device_put(acting, self._acting_device)
         self._acting = self._programs.seat_acting(self._acting, slot, hyper, acting_key)
-        fresh = self._programs.pack(self._take(self._seats[device].train, column))
+        fresh = self._programs.pack_behavior(self._take(self._seats[device].train, column))
         for waiting in self._learned:
-            waiting[device] = self._programs.seat_packed(waiting[device], column, fresh)
+            waiting[device] = self._programs.seat_behavior(waiting[device], column, fresh)
         self._runs[slot] = Run(spec=spec, slot=slot)
         self._counter.clear(slot)
         self._active[slot] = True
@@ -361,7 +362,7 @@ class Rollout:
 
     def _to_acting(self, packed: list[jax.Array]) -> Behavior:
         """What acting needs, of all runs, on its device."""
-        return self._programs.unpack(jax.device_put(packed, self._acting_device))
+        return self._programs.unpack_behavior(jax.device_put(packed, self._acting_device))
 
 
 def _typed(hyper: RunHyper) -> RunHyper:
