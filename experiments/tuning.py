@@ -33,6 +33,7 @@ _BASE: _Changes = {
     "batch_size": 128,
     "n_step": 4,
     "updates_per_step": 0.5,
+    "noise_free_every": 0,
 }
 
 _NORM: _Changes = {"batch_size": 64, "layer_norm": True}

@@ -145,7 +145,7 @@ class Hyper:
     target_noise_clip: float = 0.5
     exploration_noise: float = 0.2
     noise_correlation: float = 0.8
-    noise_free_every: int = 0
+    noise_free_every: int = 4
     warmup_steps: int = 2000
     initial_boundary: float = 0.7
     delta_minus: float = 1e-3

@@ -169,7 +169,7 @@ def test_an_absent_human_changes_nothing_but_is_recorded():
 
 def test_exploration_noise_has_its_scale_and_correlation():
     agent = agents.make_agent(AgentConfig())
-    hyper = Hyper(exploration_noise=0.1, noise_correlation=0.8, warmup_steps=0)
+    hyper = Hyper(exploration_noise=0.1, noise_correlation=0.8, noise_free_every=0, warmup_steps=0)
     params = agents.behavior(agents.init(agent, jax.random.key(1)))
     observations = _walk([0.0] * 20_000)
     _, decision = _act_many(agent, hyper_for(Method.SRL, hyper), observations)
