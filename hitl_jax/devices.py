@@ -38,7 +38,7 @@ def cpu_device(number: int) -> jax.Device:
     """A CPU device whose programs run on a thread of its own.
 
     The devices of one XLA client share its threads, which pass pieces of a program from core to
-    core and from cache to cache: the learner of 30 runs takes 1.4 to 1.6 times as long. So each
+    core and from cache to cache: the learner of 30 runs takes 1.3 to 1.4 times as long. So each
     device here is the only one of a client, with one thread.
 
     Where threads can have priorities (Linux), those of the learner let others go first: acting and

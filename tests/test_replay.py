@@ -92,10 +92,10 @@ def test_starts_are_uniform_over_steps_in_spite_of_final_frames():
     batch = _sample(memory, batch=60_000)
     starts, counts = np.unique(np.asarray(batch.observation[:, 0]), return_counts=True)
     assert set(starts) == set(range(13)) - {4, 10}
-    expected = 60_000 / 11
-    # Four standard deviations of a binomial count, and the share of the fallback, (2/13)^2.
-    allowed = 4 * np.sqrt(expected) + 60_000 * (2 / 13) ** 2
-    assert np.abs(counts - expected).max() < allowed
+    # Both draws are final with probability (2/13)^2; then one of the frames before a final one.
+    fallback = 60_000 * (2 / 13) ** 2
+    expected = (60_000 - fallback) / 11 + np.where(np.isin(starts, [3, 9]), fallback / 2, 0)
+    assert (np.abs(counts - expected) < 4 * np.sqrt(expected)).all()
 
 
 def test_wrap_around_keeps_whole_windows_of_the_newest_frames():
