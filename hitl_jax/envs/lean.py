@@ -10,9 +10,12 @@ differently leaves every bit of an episode as it was:
 - Observations and rewards are computed for all walkers at once.
 - The world is dropped whole at a reset, not body by body; clouds are drawn from the generator, not
   built.
-- Who touches the ground is told by the address of a body, not by comparing proxies.
+- Plain terrain is drawn here, from the same random numbers.
+- Who touches the ground is told by the address of a body, not by comparing proxies, and what
+  Box2D says of every contact before and after solving it is answered at once.
 """
 
+import itertools
 import math
 import platform
 import types
@@ -34,8 +37,14 @@ _REACH = np.array(
         [-math.cos(angle) * official.LIDAR_RANGE for angle in _ANGLES],
     ]
 )
-_WINDOW = math.ceil(_REACH[0].max() / official.TERRAIN_STEP) + 3
-"""Edges that a walker's rays may meet, with one to spare on either side."""
+_SPANS = np.ceil(_REACH[0] / official.TERRAIN_STEP).astype(int) + 3
+"""Edges that each ray may meet, with one to spare on either side."""
+
+_WINDOW = int(_SPANS.max())
+_FIRST_PAIR = np.cumsum(_SPANS) - _SPANS
+_PAIR_RAY = np.repeat(np.arange(len(_SPANS)), _SPANS)
+_PAIR_EDGE = np.arange(_SPANS.sum()) - _FIRST_PAIR[_PAIR_RAY]
+"""Of every ray with each edge that it may meet, P pairs: the ray, and the edge in the window."""
 
 _BODIES = 20
 """Bodies that the edges share in turn. Contacts with one body are not independent of each other in
@@ -51,15 +60,40 @@ _SPEEDS = np.array([official.SPEED_HIP, official.SPEED_KNEE] * 2, np.float32)
 _GOAL = (official.TERRAIN_LENGTH - official.TERRAIN_GRASS) * official.TERRAIN_STEP
 
 
+def _draw_grass(rng: np.random.Generator) -> list[float]:
+    """Heights of plain terrain [m], from the numbers that gymnasium's class draws.
+
+    A flat start, then stretches of 5 to 9 corners, the first of which repeats the height before.
+    """
+    start, length = official.TERRAIN_HEIGHT, official.TERRAIN_LENGTH
+    stretches = official.TERRAIN_GRASS // 2, official.TERRAIN_GRASS
+    height, velocity = start, 0.0
+    heights = [height] * official.TERRAIN_STARTPAD
+    stretch = int(rng.integers(*stretches))
+    while len(heights) < length:
+        heights.append(height)
+        pushes = min(stretch - 1, length - len(heights))
+        for push in (rng.uniform(-1, 1, pushes) / official.SCALE).tolist():
+            toward = 0.01 if height < start else -0.01 if height > start else 0.0
+            velocity = 0.8 * velocity + toward + push
+            height += velocity
+            heights.append(height)
+        if pushes == stretch - 1:
+            stretch = int(rng.integers(*stretches))
+    return heights
+
+
 class _Recorder:
-    """Takes the place of the world while gymnasium's class draws a terrain: keeps the shapes."""
+    """Takes the place of the world while gymnasium's class draws a terrain: keeps obstacles."""
 
     def __init__(self) -> None:
-        self.shapes: list[tuple[Any, Sequence[tuple[float, float]]]] = []
+        self.obstacles: list[Sequence[tuple[float, float]]] = []
 
     def CreateStaticBody(self, fixtures: Any) -> Any:
-        """Keeps a shape; gymnasium colours what it gets back."""
-        self.shapes.append((fixtures, tuple(fixtures.shape.vertices)))
+        """Keeps a shape that is no edge; gymnasium colours what it gets back."""
+        vertices = tuple(fixtures.shape.vertices)
+        if len(vertices) > 2:
+            self.obstacles.append(vertices)
         return types.SimpleNamespace()
 
 
@@ -92,6 +126,15 @@ class _Contacts(b2ContactListener):
             if body in self._feet:
                 self._feet[body].ground_contact = False
 
+    # Box2D calls these for every contact at every step. Those of the base class do nothing either,
+    # but only after a way back into Box2D.
+
+    def PreSolve(self, contact: Any, before: Any) -> None:
+        """Nothing is to be done before a contact is solved."""
+
+    def PostSolve(self, contact: Any, impulse: Any) -> None:
+        """Nor after it."""
+
 
 class _Walker(official.BipedalWalker):
     """One walker, its terrain on few bodies; advanced and read from outside."""
@@ -109,19 +152,25 @@ class _Walker(official.BipedalWalker):
         self.reset(seed=seed)
 
     def _generate_terrain(self, hardcore: bool) -> None:
-        world, self.world = self.world, _Recorder()
-        super()._generate_terrain(hardcore)
-        recorder, self.world = self.world, world
-        obstacles = [vertices for kind, vertices in recorder.shapes if kind is self.fd_polygon]
-        edges = [vertices for kind, vertices in recorder.shapes if kind is self.fd_edge]
-        for vertices in obstacles:
-            self._polygon.shape.vertices = vertices
-            world.CreateStaticBody(fixtures=self._polygon)
+        world = self.world
+        assert world is not None
+        if hardcore:
+            self.world = _Recorder()
+            super()._generate_terrain(hardcore)
+            obstacles, self.world = self.world.obstacles, world
+            for vertices in obstacles:
+                self._polygon.shape.vertices = vertices
+                world.CreateStaticBody(fixtures=self._polygon)
+            self.only_edges = not obstacles
+        else:
+            self.terrain_x = [i * official.TERRAIN_STEP for i in range(official.TERRAIN_LENGTH)]
+            self.terrain_y = _draw_grass(self.np_random)
+            self.only_edges = True
         bodies = [world.CreateStaticBody() for _ in range(_BODIES)]
-        for place, vertices in enumerate(edges):
-            self._edge.shape.vertices = vertices
+        corners = zip(self.terrain_x, self.terrain_y, strict=True)
+        edge = self._edge.shape
+        for place, (edge.vertex1, edge.vertex2) in enumerate(itertools.pairwise(corners)):
             bodies[place % _BODIES].CreateFixture(self._edge)
-        self.only_edges = not obstacles
 
     def _generate_clouds(self) -> None:
         self.np_random.random(_CLOUD_DRAWS)
@@ -186,7 +235,9 @@ class _Edges:
     """
 
     def __init__(self, num_walkers: int):
-        self._columns = np.zeros((7, num_walkers, official.TERRAIN_LENGTH - 1), np.float32)
+        # Past the end of the terrain are edges of no length, which no ray meets.
+        edges = official.TERRAIN_LENGTH - 1 + _WINDOW
+        self._columns = np.zeros((7, edges, num_walkers), np.float32)
 
     def set(self, walker: int, x: Sequence[float], y: Sequence[float]) -> None:
         """Takes the terrain of a walker: the corners of its edges."""
@@ -196,7 +247,8 @@ class _Edges:
         length = np.sqrt(squares[0] + squares[1])
         inverse = np.float32(1.0) / length
         normal = np.stack([along[1] * inverse, -along[0] * inverse])
-        self._columns[:, walker] = *start, *normal, *along, squares[0] + squares[1]
+        columns = *start, *normal, *along, squares[0] + squares[1]
+        self._columns[:, : start.shape[1], walker] = columns
 
     def fractions(self, walkers: np.ndarray, place: np.ndarray) -> np.ndarray:
         """How far each ray gets, as a fraction of its length.
@@ -209,23 +261,24 @@ class _Edges:
             Fractions, 1 where a ray meets nothing, float32 [M, 10].
         """
         first = np.floor(place[0] / official.TERRAIN_STEP).astype(np.int64) - 1
-        last = self._columns.shape[2] - _WINDOW
-        window = np.clip(first, 0, last)[:, None] + np.arange(_WINDOW)
-        edges = self._columns[:, walkers[:, None], window][:, :, None]  # [7, M, 1, window]
-        start_x, start_y, normal_x, normal_y, along_x, along_y, square = edges
-        here_x, here_y = place.astype(np.float32)[:, :, None, None]
-        there = (place[:, :, None] + _REACH[:, None]).astype(np.float32)[..., None]
-        ray_x, ray_y = there[0] - here_x, there[1] - here_y
-        above = normal_x * (start_x - here_x) + normal_y * (start_y - here_y)
-        toward = normal_x * ray_x + normal_y * ray_y
+        first = np.clip(first, 0, self._columns.shape[1] - _WINDOW)
+        edges = self._columns[:, first + np.arange(_WINDOW)[:, None], walkers]  # [7, window, M]
+        here = place.astype(np.float32)[:, None]
+        apart = edges[2:4] * (edges[0:2] - here)
+        above = (apart[0] + apart[1]).take(_PAIR_EDGE, axis=0)  # [P, M]
+        edges = edges.take(_PAIR_EDGE, axis=1)  # [7, P, M]
+        start, normal, along, square = edges[0:2], edges[2:4], edges[4:6], edges[6]
+        ray = (place[:, None] + _REACH[:, :, None]).astype(np.float32) - here
+        ray = ray.take(_PAIR_RAY, axis=1)  # [2, P, M]
         with np.errstate(divide="ignore", invalid="ignore"):
-            fraction = above / toward
-            offset_x = here_x + fraction * ray_x - start_x
-            offset_y = here_y + fraction * ray_y - start_y
-            share = (offset_x * along_x + offset_y * along_y) / square
+            toward = normal * ray
+            fraction = above / (toward[0] + toward[1])
+            offset = (here + fraction * ray - start) * along
+            share = (offset[0] + offset[1]) / square
             # A ray along an edge gives what is not a number, and no hit.
             met = (fraction >= 0) & (fraction <= 1) & (share >= 0) & (share <= 1)
-        return np.where(met, fraction, np.float32(1.0)).min(axis=2)
+        reached = np.where(met, fraction, np.float32(1.0))
+        return np.minimum.reduceat(reached, _FIRST_PAIR, axis=0).T
 
 
 class LeanWalkers:
@@ -247,6 +300,7 @@ class LeanWalkers:
             num_walkers: of this process.
         """
         spec = gymnasium.spec(env_id)
+        assert spec.max_episode_steps is not None
         self._limit = spec.max_episode_steps
         hardcore = bool(spec.kwargs.get("hardcore", False))
         self._walkers = [_Walker(hardcore) for _ in range(num_walkers)]
@@ -277,20 +331,22 @@ class LeanWalkers:
     ) -> None:
         """Observation, reward and end of the walkers that played; the sums are gymnasium's own."""
         raw = np.array([self._walkers[index].read() for index in played.tolist()]).T
+        # A view of all walkers is read and written faster than a choice of them.
+        rows = slice(None) if played.size == len(self._walkers) else played
         place, over = raw[14:16], raw[16] > 0
-        arrays.observation[played, :14] = _proprioception(raw).T
-        arrays.observation[played, 14:] = self._lidar(played, place)
+        arrays.observation[rows, :14] = _proprioception(raw).T
+        arrays.observation[rows, 14:] = self._lidar(played, place)
         shaping = 130 * place[0] / official.SCALE - 5.0 * np.abs(raw[0])
-        reward = (shaping - self._shaping[played]).astype(np.float32)
-        for effort in strength.T:
-            reward -= np.float32(0.00035 * official.MOTORS_TORQUE) * effort
+        reward = (shaping - self._shaping[rows]).astype(np.float32)
+        for effort in (np.float32(0.00035 * official.MOTORS_TORQUE) * strength).T:
+            reward -= effort
         fallen = over | (place[0] < 0)
         reward[fallen] = -100
-        self._shaping[played] = shaping
-        self._steps[played] += stepped
-        arrays.reward[played] = np.where(stepped, reward, 0)
-        arrays.terminated[played] = stepped & (fallen | (place[0] > _GOAL))
-        arrays.truncated[played] = stepped & (self._steps[played] >= self._limit)
+        self._shaping[rows] = shaping
+        self._steps[rows] += stepped
+        arrays.reward[rows] = np.where(stepped, reward, 0)
+        arrays.terminated[rows] = stepped & (fallen | (place[0] > _GOAL))
+        arrays.truncated[rows] = stepped & (self._steps[rows] >= self._limit)
 
     def _lidar(self, played: np.ndarray, place: np.ndarray) -> np.ndarray:
         """Fractions of the rays, [M, 10]."""

@@ -1,10 +1,12 @@
 """A process that steps some of a pool's walkers; `WorkerPool` starts it, no person does.
 
-It first tells the sizes of its spaces. Then each byte on stdin is a tick: commands and actions are
-in the shared memory, results go there, and a byte back says that they are there. When stdin closes
-it ends; so no worker outlives its pool, not even if the pool's process was killed.
+It first tells the sizes of its spaces. Then each byte on stdin is a tick, and is passed on to the
+next worker: commands and actions are in the shared memory, results go there, and a byte back says
+that they are there. When stdin closes it ends; so no worker outlives its pool, not even if the
+pool's process was killed.
 """
 
+import contextlib
 import gc
 import os
 import signal
@@ -38,6 +40,7 @@ def main(
     num_walkers: int,
     first: int,
     num_workers: int,
+    wakes: int | None = None,
 ) -> None:
     """Serves walkers `first`, `first + num_workers`, ... until stdin closes.
 
@@ -49,6 +52,7 @@ def main(
         num_walkers: N.
         first: this worker's first walker.
         num_workers: workers of the pool.
+        wakes: file descriptor of the next worker's stdin; None for the last worker.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the pool's to handle.
     # Walkers leave next to no cycles, and looking for them among all terrains takes 3 % of a tick.
@@ -56,7 +60,7 @@ def main(
     walkers = _make(backend, env_id, len(range(first, num_walkers, num_workers)))
     sizes = walkers.observation_size, walkers.action_size
     os.write(reply, SIZES.pack(*sizes))
-    if not os.read(0, 1):
+    if not _await_tick(wakes):
         return
     arrays = SharedArrays(
         *(array[first::num_workers] for array in map_arrays(memory, num_walkers, *sizes))
@@ -64,8 +68,17 @@ def main(
     while True:
         walkers.tick(arrays)
         os.write(reply, b".")
-        if not os.read(0, 1):
+        if not _await_tick(wakes):
             return
+
+
+def _await_tick(wakes: int | None) -> bool:
+    """Sleeps until a tick begins, and passes it on; False if no more will come."""
+    asked = bool(os.read(0, 1))
+    if asked and wakes is not None:
+        with contextlib.suppress(BrokenPipeError):  # The next one died; the pool will see.
+            os.write(wakes, b".")
+    return asked
 
 
 def _make(backend: str, env_id: str, num_walkers: int) -> Walkers:

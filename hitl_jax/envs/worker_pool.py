@@ -35,7 +35,8 @@ class _Worker:
 
     Attributes:
         index: its place among the workers.
-        process: its stdin starts a tick, and ends the process when it closes.
+        process: its stdin starts a tick, and ends the process when it closes. Only the first
+            worker's is held by the pool: each wakes the next.
         reply: file descriptor on which it answers.
         log: what it wrote to stdout and stderr; read only if it fails.
     """
@@ -95,11 +96,17 @@ class WorkerPool(CheckedPool):
         self._poll = select.poll()
         memory = _anonymous_file()
         try:
-            for index in range(num_workers):
-                self._workers.append(
-                    _launch(backend, env_id, memory, num_walkers, index, num_workers)
+            # From the last to the first, since each gets the end of the pipe that wakes the next.
+            # Were we to wake them all, the first could take our core before we reach the second.
+            for index in reversed(range(num_workers)):
+                following = self._workers[0].process.stdin if self._workers else None
+                self._workers.insert(
+                    0, _launch(backend, env_id, memory, num_walkers, index, num_workers, following)
                 )
-                self._poll.register(self._workers[-1].reply, select.POLLIN)
+                if following is not None:
+                    following.close()
+            for worker in self._workers:
+                self._poll.register(worker.reply, select.POLLIN)
             answers = self._replies(SIZES.size, time.monotonic() + start_seconds)
             observation_size, action_size = SIZES.unpack(answers)
             os.ftruncate(memory, num_bytes(num_walkers, observation_size, action_size))
@@ -124,10 +131,10 @@ class WorkerPool(CheckedPool):
         # The workers write these for a STEP only.
         for array in (arrays.reward, arrays.terminated, arrays.truncated):
             array[:] = 0
-        for worker in self._workers:
-            assert worker.process.stdin is not None
-            with contextlib.suppress(BrokenPipeError):  # It died; recv says why.
-                os.write(worker.process.stdin.fileno(), b".")
+        first = self._workers[0].process.stdin
+        assert first is not None
+        with contextlib.suppress(BrokenPipeError):  # It died; recv says why.
+            os.write(first.fileno(), b".")
 
     def _finish(self, command: np.ndarray) -> StepBatch:
         try:
@@ -198,7 +205,13 @@ class WorkerPool(CheckedPool):
 
 
 def _launch(
-    backend: str, env_id: str, memory: int, num_walkers: int, index: int, num_workers: int
+    backend: str,
+    env_id: str,
+    memory: int,
+    num_walkers: int,
+    index: int,
+    num_workers: int,
+    following: IO[bytes] | None,
 ) -> _Worker:
     """Starts a worker; does not wait for it.
 
@@ -208,7 +221,8 @@ def _launch(
     """
     log = tempfile.TemporaryFile()  # noqa: SIM115, the pool closes it
     reply, answer = os.pipe()
-    numbers = (memory, answer, num_walkers, index, num_workers)
+    wakes = [] if following is None else [following.fileno()]
+    numbers = (memory, answer, num_walkers, index, num_workers, *wakes)
     command = [sys.executable, "-P", "-W", "ignore", "-X", "faulthandler"]
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
     try:
@@ -218,7 +232,7 @@ def _launch(
             stdin=subprocess.PIPE,
             stdout=log,
             stderr=log,
-            pass_fds=(memory, answer),
+            pass_fds=(memory, answer, *wakes),
             env={**os.environ, **_WORKER_ENVIRONMENT, "PYTHONPATH": path},
         )
     except BaseException:
