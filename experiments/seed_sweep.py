@@ -172,7 +172,7 @@ class _Sweep:
     def save_partial(self) -> None:
         """Writes the episodes of the runs under way, for the figures."""
         for run in self._rollout.runs() if self._rollout else []:
-            if run.episodes:
+            if run.episodes and not run.done:
                 key = RunKey(run.spec.method, run.spec.seed)
                 self._folder.write_partial(key, _columns(run.episodes, EPISODE_COLUMNS))
 
