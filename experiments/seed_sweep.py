@@ -170,7 +170,7 @@ class _Sweep:
         return episode_seed(phase, *(f"{spec.method}-{spec.seed}" for spec in self._specs)) >> 1
 
     def save_partial(self) -> None:
-        """Writes the episodes of the runs under way, for the figures."""
+        """Writes, for the figures, the episodes of the runs that are not finished."""
         for run in self._rollout.runs() if self._rollout else []:
             if run.episodes and not run.done:
                 key = RunKey(run.spec.method, run.spec.seed)

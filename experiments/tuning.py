@@ -60,7 +60,7 @@ class TuningOptions:
     """Train the three methods with several learners and compare return with time.
 
     Attributes:
-        configurations: some of 128-batch-128, 128-batch-64, 128-batch-64-norm, 64-batch-128,
+        configurations: some of 128-batch-128, 128-batch-64, 128-batch-64-norm,
             128-batch-64-norm-quiet, 64-batch-64-norm-quiet, 128-batch-64-norm-quiet-lr-5e-4,
             128-batch-64-norm-quiet-n-8 (hidden units, minibatch, what else; `quiet` plays every
             fourth training episode without action noise).

@@ -78,7 +78,7 @@ def _draw_grass(rng: np.random.Generator) -> list[float]:
             velocity = 0.8 * velocity + toward + push
             height += velocity
             heights.append(height)
-        if pushes == stretch - 1:
+        if pushes == stretch - 1:  # Gymnasium draws the next one here, at the last corner too.
             stretch = int(rng.integers(*stretches))
     return heights
 
