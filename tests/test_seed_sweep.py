@@ -12,7 +12,7 @@ import pytest
 
 from experiments.cli import run_main
 from experiments.options import SweepOptions
-from experiments.seed_sweep import main
+from experiments.seed_sweep import _Sweep, main
 from hitl_jax.results import ResultsFolder, RunKey
 
 _SMALL = [
@@ -28,7 +28,10 @@ def _run(out, *options):
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
     out = tmp_path_factory.mktemp("sweep") / "results"
-    assert _run(out) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        # As if figures were due after every chunk, the last ones of each run included.
+        patch.setattr(_Sweep, "_draw_now_and_then", _Sweep.save_partial)
+        assert _run(out) == 0
     return out
 
 
