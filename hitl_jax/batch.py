@@ -280,8 +280,7 @@ def _learn_all(
         chosen = jax.lax.dynamic_slice_in_dim(slots, index * tile, tile)
         filled = index * tile + jnp.arange(tile) < count
         chosen = jnp.where(filled, chosen, chosen[0])
-        chosen_rows = jax.tree.map(functools.partial(_take, chosen), (hyper, train))
-        hyper_rows, rows = jax.lax.optimization_barrier(chosen_rows)
+        hyper_rows, rows = jax.tree.map(functools.partial(_take, chosen), (hyper, train))
         after = several(hyper_rows, rows, memory, chosen)
         return jax.tree.map(functools.partial(_give, chosen), train, after)
 

@@ -12,6 +12,8 @@ import jax.numpy as jnp
 _kernel_init = nn.initializers.variance_scaling(1.0 / 3.0, "fan_in", "uniform")
 _stacked_init = nn.initializers.variance_scaling(1.0 / 3.0, "fan_in", "uniform", batch_axis=(0,))
 
+_LAYER_NORM_EPSILON = 1e-6
+
 
 class Actor(nn.Module):
     """μ(s): a deterministic policy with actions in [-1, 1].
@@ -51,14 +53,49 @@ class _StackedDense(nn.Module):
         return jnp.einsum("ebi,eio->ebo", x, kernel) + bias
 
 
+@jax.custom_vjp
+def layer_norm(x: chex.Array) -> chex.Array:
+    """Rows with mean 0 and variance 1, without gain and shift (https://arxiv.org/abs/1607.06450).
+
+    Flax's, with a gradient written out: differentiated, it goes over the rows twice as often, which
+    made a quarter of an update of small critics.
+
+    Args:
+        x: rows [..., F].
+
+    Returns:
+        Normalised rows [..., F].
+    """
+    return _layer_norm_forward(x)[0]
+
+
+def _layer_norm_forward(x: chex.Array) -> tuple[chex.Array, tuple[chex.Array, chex.Array]]:
+    mean = jnp.mean(x, axis=-1, keepdims=True)
+    variance = jnp.mean(jnp.square(x), axis=-1, keepdims=True) - jnp.square(mean)
+    scale = jax.lax.rsqrt(jnp.maximum(variance, 0.0) + _LAYER_NORM_EPSILON)
+    normal = (x - mean) * scale
+    return normal, (normal, scale)
+
+
+def _layer_norm_backward(
+    residuals: tuple[chex.Array, chex.Array], gradient: chex.Array
+) -> tuple[chex.Array]:
+    normal, scale = residuals
+    mean = jnp.mean(gradient, axis=-1, keepdims=True)
+    along = jnp.mean(gradient * normal, axis=-1, keepdims=True)
+    return ((gradient - mean - along * normal) * scale,)
+
+
+layer_norm.defvjp(_layer_norm_forward, _layer_norm_backward)
+
+
 class Critics(nn.Module):
     """Q(s, a): E critics evaluated together.
 
     Attributes:
         hidden_sizes: widths of the hidden layers.
         num_critics: E.
-        layer_norm: whether hidden layers are normalised before their nonlinearity, without gain and
-            shift (https://arxiv.org/abs/1607.06450).
+        layer_norm: whether hidden layers are normalised before their nonlinearity.
     """
 
     hidden_sizes: Sequence[int]
@@ -74,8 +111,7 @@ class Critics(nn.Module):
             x = _StackedDense(self.num_critics, size)(x)
             if self.layer_norm:
                 # With the axis of critics apart, XLA sums slowly where there is one critic.
-                flat = nn.LayerNorm(use_bias=False, use_scale=False)(x.reshape(-1, size))
-                x = flat.reshape(x.shape)
+                x = layer_norm(x.reshape(-1, size)).reshape(x.shape)
             x = nn.relu(x)
         return _StackedDense(self.num_critics, 1)(x)[..., 0]
 

@@ -1,9 +1,18 @@
 """Settings that must come before JAX starts."""
 
+import atexit
 import os
+import shutil
+import tempfile
 
 # The devices that learn on a machine of two cores, whatever this one has.
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-# Nothing of a test in the user's cache, nothing of the cache in a test.
-os.environ.setdefault("JAX_ENABLE_COMPILATION_CACHE", "false")
+
+# Most of a test's time goes into compiling, much of it the same programs: they are shared between
+# tests, in a folder that is empty at the start, so that nothing comes from an earlier session.
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    _programs = tempfile.mkdtemp(prefix="hitl-jax-tests-")
+    atexit.register(shutil.rmtree, _programs, ignore_errors=True)
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = _programs
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"

@@ -1,3 +1,4 @@
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -68,3 +69,25 @@ def test_boundary_critic_depends_on_the_boundary():
     low, high = (critic.apply(params, observation, jnp.full(7, tau)) for tau in (0.1, 1.0))
     assert low.shape == (7,)
     assert not np.allclose(low, high)
+
+
+def test_layer_norm_and_its_gradient_are_those_of_flax():
+    flax_norm = nn.LayerNorm(use_bias=False, use_scale=False)
+    x = 3.0 * jax.random.normal(_KEY, (7, 16)) + 2.0
+    weight = jax.random.normal(jax.random.key(1), x.shape)
+
+    def ours(x):
+        return jnp.sum(weight * networks.layer_norm(x))
+
+    def theirs(x):
+        return jnp.sum(weight * flax_norm.apply({}, x))
+
+    np.testing.assert_allclose(networks.layer_norm(x), flax_norm.apply({}, x), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(jax.grad(ours)(x), jax.grad(theirs)(x), rtol=1e-3, atol=1e-5)
+
+
+def test_layer_norm_of_a_constant_row_is_zero():
+    x = jnp.full((2, 16), 3.0)
+    value, pullback = jax.vjp(networks.layer_norm, x)
+    np.testing.assert_allclose(value, 0.0, atol=1e-6)
+    assert jnp.isfinite(pullback(jnp.ones_like(x))[0]).all()
