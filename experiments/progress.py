@@ -81,7 +81,7 @@ class Progress:
         if terminal:
             self._live.update(self._table(headline, runs), refresh=True)
         else:
-            latest = ", ".join(f"{m} {_latest(self._of(m, runs)):.0f}" for m in self._methods)
+            latest = ", ".join(f"{m} {_latest(self._of(m, runs))}" for m in self._methods)
             self._console.print(f"{headline}; latest returns: {latest}", soft_wrap=True)
 
     def _of(self, method: str, runs: Sequence[Run]) -> list[Run]:
@@ -114,16 +114,16 @@ class Progress:
                 f"{counts[method]}/{len(mine)}",
                 str(sum(len(run.episodes) for run in mine)),
                 f"{sum(run.env_steps for run in mine):,}",
-                f"{_latest(mine):.1f}",
+                _latest(mine),
                 f"{np.mean(boundary):.3f}" if boundary else "",
             )
         return table
 
 
-def _latest(runs: Sequence[Run]) -> float:
-    """Mean of the last 20 returns of each run; NaN before the first episode."""
+def _latest(runs: Sequence[Run]) -> str:
+    """Mean of the last 20 returns of each run; a dash before the first episode."""
     means = [np.mean([row["return"] for row in run.episodes[-20:]]) for run in runs if run.episodes]
-    return float(np.mean(means)) if means else float("nan")
+    return f"{np.mean(means):.0f}" if means else "–"
 
 
 def _clock(seconds: float) -> str:
