@@ -24,7 +24,6 @@ from experiments.cli import BadInput, run_main
 from hitl_jax.envs import num_cores
 from hitl_jax.files import write_text_atomic
 from hitl_jax.provenance import versions
-from hitl_jax.rollout import CPU_TILE
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,14 +35,14 @@ class BenchmarkOptions:
             `bench`).
         json: a file for the same numbers.
         plot: a .png or .svg file for a picture of the part scaling.
-        tile: runs vmapped together on one device.
+        tile: runs vmapped together on one device, in the part learner; by default as in the sweep.
         seconds: time for one measurement [s].
     """
 
     only: tuple[str, ...] = ("learner", "pool", "loop", "scaling", "peers")
     json: str | None = None
     plot: str | None = None
-    tile: int = CPU_TILE
+    tile: int | None = None
     seconds: float = 2.0
 
 
@@ -52,7 +51,7 @@ def main(options: BenchmarkOptions) -> int:
     parts = [part for given in options.only for part in given.split(",")]
     if not parts or not PARTS.keys() >= set(parts):
         raise BadInput(f"--only {' '.join(options.only)}: must be some of {', '.join(PARTS)}")
-    if options.tile < 1:
+    if options.tile is not None and options.tile < 1:
         raise BadInput(f"--tile {options.tile}: must be at least 1")
     if not options.seconds > 0:
         raise BadInput(f"--seconds {options.seconds}: must be above 0")

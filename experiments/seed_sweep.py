@@ -15,7 +15,6 @@ import sys
 import time
 from typing import Any
 
-import jax
 import numpy as np
 
 from experiments.cli import BadInput, checking_input, run_main
@@ -34,7 +33,6 @@ from hitl_jax.networks import Actor
 from hitl_jax.provenance import git_commit, versions
 from hitl_jax.results import ResultsFolder, RunKey
 from hitl_jax.rollout import (
-    CPU_TILE,
     FinishedRun,
     Rollout,
     RunSpec,
@@ -149,8 +147,7 @@ class _Sweep:
                 f"devices; results in {options.out}"
             )
             evaluator = Evaluator(self._agent, test_pool)
-            tile = CPU_TILE if jax.default_backend() == "cpu" else slots
-            self._rollout = Rollout(self._agent, self._specs, pool, options.loop, tile)
+            self._rollout = Rollout(self._agent, self._specs, pool, options.loop)
             previous = signal.signal(signal.SIGINT, self._interrupt)
             try:
                 for done in self._rollout:

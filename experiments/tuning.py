@@ -23,7 +23,7 @@ from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require
 from hitl_jax.envs import make_pool
 from hitl_jax.evaluation import Evaluator, evaluate_run
 from hitl_jax.provenance import git_commit
-from hitl_jax.rollout import CPU_TILE, LoopConfig, Rollout, Run, RunSpec, num_slots
+from hitl_jax.rollout import LoopConfig, Rollout, Run, RunSpec, num_slots
 
 _Changes = dict[str, Any]
 
@@ -163,7 +163,7 @@ def _measure(
         make_pool("lean", num_slots(len(specs), len(specs))) as pool,
         make_pool("lean", options.test_episodes) as test_pool,
     ):
-        rollout = Rollout(agent, specs, pool, loop, CPU_TILE)
+        rollout = Rollout(agent, specs, pool, loop)
         started = time.monotonic()
         for number, _ in enumerate(rollout, start=1):
             ticks = number * loop.chunk

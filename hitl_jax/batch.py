@@ -64,7 +64,8 @@ class Programs(NamedTuple):
     Attributes:
         seat: (seats, slot, hyper, key) to seats with a fresh run in `slot`; donates.
         seat_acting: (acting, slot, hyper, key) to acting with a fresh run in `slot`; donates.
-        act: (acting, behavior, observation [R, O], live bool [R]) to (acting, packed [R, W + 6]).
+        act: (acting, behavior, observation [R, O], live bool [R]) to (acting, packed [R, W + 6]);
+            donates.
         learn: (seats, frames [R, U, W], slots int32 [R], count int32 []) to seats and a copy of
             what acting needs of them, packed [R, P]; donates. The first `count` of `slots` learn.
         pack_behavior: training states [R, ...] to what acting needs of them, packed [R, P].

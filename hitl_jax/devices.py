@@ -3,7 +3,6 @@
 import functools
 import os
 import sys
-import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -56,7 +55,7 @@ def cpu_device(number: int) -> jax.Device:
 
 def _start(nice: int) -> jax.Device:
     if nice:
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), nice)
+        os.nice(nice)  # Of this thread alone, on Linux, and added to what the process has.
     before = os.environ.get("NPROC")
     os.environ["NPROC"] = "1"  # where XLA's CPU client looks up how many threads to start
     try:

@@ -28,9 +28,7 @@ from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.episodes import EpisodeCounter, Row, Step
 from hitl_jax.types import Behavior, Params
 
-CPU_TILE = 3
-"""Runs learned together on one CPU device: enough to share the cost of small operations, few enough
-to stay in cache."""
+_CPU_TILE = 3
 
 LAG = 2
 """Calls of the learner that may be under way while the walkers play; see the module."""
@@ -149,6 +147,18 @@ def num_slots(num_runs: int, most: int) -> int:
     return math.ceil(min(power, most) / devices) * devices
 
 
+def default_tile(slots: int) -> int:
+    """Runs learned together on one device.
+
+    On a CPU enough to share the cost of small operations, few enough to stay in cache; all that an
+    accelerator has.
+
+    Args:
+        slots: of all devices together.
+    """
+    return _CPU_TILE if jax.default_backend() == "cpu" else slots // len(learning_devices())
+
+
 def method_index(method: Method) -> int:
     """A number for a method that does not depend on which methods run."""
     return list(Method).index(method)
@@ -168,7 +178,7 @@ class Rollout:
         specs: Sequence[RunSpec],
         pool: WalkerPool,
         config: LoopConfig,
-        tile: int = CPU_TILE,
+        tile: int | None = None,
     ):
         """Places everything on the devices.
 
@@ -177,7 +187,7 @@ class Rollout:
             specs: the runs; more than `pool.num_walkers` wait for a slot.
             pool: one walker a slot; the number of slots must be a multiple of the devices'.
             config: how much to play and learn.
-            tile: runs learned together on one device.
+            tile: runs learned together on one device; by default `default_tile`.
         """
         self._agent = agent
         self._pool = pool
@@ -188,7 +198,9 @@ class Rollout:
         self._share = slots // len(self._devices)
         _check(agent, pool, config)
         self._num_updates = config.num_updates(agent.config.policy_delay)
-        self._programs = batch.make_programs(agent, self._num_updates, tile)
+        self._programs = batch.make_programs(
+            agent, self._num_updates, default_tile(slots) if tile is None else tile
+        )
         self._acting_device = acting_device()
         like = _typed(specs[0].hyper)
         self._seats = [
@@ -245,6 +257,10 @@ class Rollout:
             train=jax.tree.map(lambda leaf: leaf[0], jax.device_get(self._take(train, column))),
             boundary=np.asarray(self._acting.state.boundary)[run.slot],
         )
+
+    def wait(self) -> None:
+        """Returns when the learner has nothing left to do."""
+        jax.block_until_ready([seats.train.learner for seats in self._seats])
 
     def _slot_order(self) -> list[int]:
         """Slots such that neighbours in the queue go to different devices."""

@@ -13,11 +13,12 @@ from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.devices import learning_devices
 from hitl_jax.keys import make_key
-from hitl_jax.rollout import LoopConfig, num_slots
+from hitl_jax.rollout import LoopConfig, default_tile, num_slots
 from hitl_jax.types import Params
 
 PRODUCT_SIZE = 2048
 RUNS = 30
+_LOOP = LoopConfig()
 
 
 def update_flops(config: AgentConfig) -> float:
@@ -50,7 +51,7 @@ def measure_product(seconds: float) -> float:
     return 2.0 * n**3 / best(lambda: product(x), seconds)
 
 
-def measure_learner(seconds: float, tile: int) -> list[Row]:
+def measure_learner(seconds: float, tile: int | None) -> list[Row]:
     """Updates/s and GFLOP/s beside the product's rate: sizes that have a bar, and the default."""
     wide = AgentConfig(hidden_sizes=(256, 256), batch_size=256, layer_norm=False)
     narrow = AgentConfig(hidden_sizes=(128, 128), batch_size=128, layer_norm=False)
@@ -70,7 +71,11 @@ def measure_learner(seconds: float, tile: int) -> list[Row]:
 
 
 def make_learner(
-    config: AgentConfig, runs: int, num_updates: int, tile: int
+    config: AgentConfig,
+    runs: int,
+    num_updates: int,
+    tile: int | None = None,
+    loop: LoopConfig = _LOOP,
 ) -> Callable[[], list[Params]]:
     """A call that makes `num_updates` updates of each run, from a full replay.
 
@@ -78,12 +83,14 @@ def make_learner(
         config: static choices.
         runs: a multiple of the devices' number.
         num_updates: of each run and call.
-        tile: runs vmapped together on one device.
+        tile: runs vmapped together on one device; by default as the sweep does.
+        loop: the size of the replay, and of what each call adds to it.
     """
     agent = make_agent(config)
+    tile = default_tile(runs) if tile is None else tile
     programs = batch.make_programs(agent, num_updates, tile)
     hyper = jax.tree.map(np.asarray, hyper_for(Method.HITL_AC, Hyper()))
-    layout, loop = agent.layout, LoopConfig()
+    layout = agent.layout
     share = runs // len(learning_devices())
     rng = np.random.default_rng(0)
     past = rng.standard_normal((share, loop.frames, layout.width), np.float32)
@@ -95,7 +102,7 @@ def make_learner(
         for column in range(share):
             empty = programs.seat(empty, column, hyper, make_key(column))
         seats.append(empty._replace(memory=add(empty.memory, past)))
-    frames = past[:, : loop.chunk]
+    frames = past[:, : loop.chunk].copy()
     slots = np.arange(share, dtype=np.int32)
 
     def learn() -> list[Params]:
@@ -107,7 +114,7 @@ def make_learner(
 
 
 def _learner_row(
-    config: AgentConfig, runs: int, bar: float | None, seconds: float, tile: int
+    config: AgentConfig, runs: int, bar: float | None, seconds: float, tile: int | None
 ) -> Row:
     runs, num_updates = num_slots(runs, runs), 8
     rate = runs * num_updates / best(make_learner(config, runs, num_updates, tile), seconds)

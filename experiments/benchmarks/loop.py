@@ -12,7 +12,7 @@ from experiments.benchmarks.timing import REPEATS, Row, best, memory_mb
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs import StepBatch, WalkerPool, make_pool
-from hitl_jax.rollout import CPU_TILE, LoopConfig, Rollout, RunSpec, num_slots
+from hitl_jax.rollout import LoopConfig, Rollout, RunSpec, num_slots
 
 COMPILED = "backend_compile_duration"
 """End of the name of the event that JAX reports for each program that XLA compiles."""
@@ -59,8 +59,8 @@ def play(rollout: Rollout, chunks: Iterator[Any], seconds: float) -> Played:
     """Plays for some seconds; the learner has nothing to do before, and nothing left after."""
 
     def state() -> tuple[int, int]:
+        rollout.wait()
         runs = rollout.runs()
-        rollout.collect(runs[0])  # Waits for the learner.
         return runs[0].ticks, sum(run.ticks - len(run.episodes) for run in runs)
 
     ticks, steps = state()
@@ -74,10 +74,10 @@ def play(rollout: Rollout, chunks: Iterator[Any], seconds: float) -> Played:
 def measure_loop(seconds: float) -> list[Row]:
     """Rates, compiled programs and memory over time: the default learner with a small replay.
 
-    Beside it what its updates and its ticks take alone, each with all cores; acting, bookkeeping
-    and waiting are what the loop adds.
+    Beside it what its updates and its ticks take alone, each with all cores and as full a replay;
+    acting, bookkeeping and waiting are what the loop adds.
     """
-    config = LoopConfig(capacity=20_000)
+    config = LoopConfig(capacity=2 * WARMUP_STEPS)  # Full when the warm-up ends.
     agent = make_agent(AgentConfig())
     compiled: list[str] = []
     jax.monitoring.register_event_duration_secs_listener(
@@ -85,7 +85,7 @@ def measure_loop(seconds: float) -> list[Row]:
     )
     slots = num_slots(RUNS, RUNS)
     num_updates = config.num_updates(agent.config.policy_delay)
-    learn = make_learner(agent.config, slots, num_updates, CPU_TILE)
+    learn = make_learner(agent.config, slots, num_updates, loop=config)
     rows: list[Row] = []
     with make_pool("lean", slots) as inner, make_pool("lean", slots) as again:
         pool = _Recorded(inner)

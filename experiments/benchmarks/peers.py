@@ -71,7 +71,7 @@ def measure_peers(seconds: float) -> list[Row]:
             ("gymnasium, plain loop", "gymnasium", partial(plain_rate, 1, WALKERS)),
             (f"gymnasium AsyncVectorEnv of {VECTOR_WALKERS}", "gymnasium", _vector),
             (f"EnvPool, {cores} threads", "envpool", _envpool),
-            (f"hitl_jax lean, {cores} workers", "hitl_jax", partial(pool_rate, "lean")),
+            (f"hitl_jax lean, {cores} workers", "hitl_jax", partial(pool_rate, "lean", cores)),
         ],
         f"EnvPool, {cores} threads",
         seconds,

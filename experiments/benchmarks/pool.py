@@ -31,11 +31,11 @@ def measure_pool(seconds: float) -> list[Row]:
         REFERENCE: (lambda: plain_rate(1, WALKERS, seconds), None),
         "official, two plain processes": (lambda: plain_rate(2, WALKERS // 2, seconds), None),
         "--backend gymnasium (official), two workers": (
-            lambda: pool_rate("gymnasium", seconds),
+            lambda: pool_rate("gymnasium", WORKERS, seconds),
             1.7,
         ),
-        "--backend lean, two workers": (lambda: pool_rate("lean", seconds), 4.0),
-        "--backend envpool, two threads": (lambda: pool_rate("envpool", seconds), 4.0),
+        "--backend lean, two workers": (lambda: pool_rate("lean", WORKERS, seconds), 4.0),
+        "--backend envpool, two threads": (lambda: pool_rate("envpool", WORKERS, seconds), 4.0),
     }
     rates: dict[str, list[float]] = {name: [] for name in ways}
     missing: dict[str, str] = {}
@@ -86,11 +86,11 @@ def _plain_steps(ready: Barrier, walkers: int, seconds: float) -> float:
     return steps / (time.perf_counter() - start)
 
 
-def pool_rate(backend: str, seconds: float) -> float:
+def pool_rate(backend: str, workers: int, seconds: float) -> float:
     """Steps/s of one of our pools."""
     rng = np.random.default_rng(0)
     seeds = np.arange(WALKERS, dtype=np.uint32)
-    with make_pool(backend, WALKERS, WORKERS) as pool:
+    with make_pool(backend, WALKERS, workers) as pool:
         command = np.full(WALKERS, Command.RESET, np.uint8)
         pool.step(command, _actions(rng, WALKERS), seeds)
         command[:] = Command.STEP

@@ -44,7 +44,7 @@ _LINES: tuple[dict[str, Any], ...] = (
 
 
 def measure_scaling(seconds: float) -> list[Row]:
-    """A row for each number of runs, as the sweep seats them, with the whole replay."""
+    """A row for each number of runs, all seated at once (`--slots 128`), with the whole replay."""
     rows: list[Row] = []
     for runs in NUM_RUNS:
         with tempfile.TemporaryDirectory() as cache:

@@ -4,6 +4,7 @@ import contextlib
 import os
 import pathlib
 import resource
+import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -35,12 +36,13 @@ def memory_mb(children: bool = False) -> float:
     """Resident memory of this process now [MB]; its peak where /proc is missing.
 
     Args:
-        children: whether to add the processes that it started; pages that several of them share
-            count in each.
+        children: whether to add the processes that it started, with /proc; pages that several of
+            them share count in each.
     """
     proc = pathlib.Path("/proc")
     if not proc.joinpath("self/statm").exists():
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak / (1e6 if sys.platform == "darwin" else 1e3)
     pages = 0
     processes = ["self"]
     if children:
