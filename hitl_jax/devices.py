@@ -1,4 +1,4 @@
-"""The devices that learn, and the one that acts."""
+"""The devices that learn, how many runs each learns together, and the one that acts."""
 
 import functools
 import os
@@ -12,6 +12,7 @@ from hitl_jax.envs import num_cores
 
 _ACTING = -1
 _LEARNER_NICE = 10
+_CPU_TILE = 3
 
 
 @functools.cache
@@ -25,6 +26,18 @@ def learning_devices() -> tuple[jax.Device, ...]:
         return tuple(jax.local_devices())
     asked: int = jax.config.jax_num_cpu_devices  # type: ignore[attr-defined]
     return tuple(cpu_device(core) for core in range(asked if asked > 0 else num_cores()))
+
+
+def default_tile(slots: int) -> int:
+    """Runs learned together on one device.
+
+    On a CPU enough to share the cost of small operations, few enough to stay in cache; all that an
+    accelerator has.
+
+    Args:
+        slots: of all devices together.
+    """
+    return _CPU_TILE if jax.default_backend() == "cpu" else slots // len(learning_devices())
 
 
 def acting_device() -> jax.Device:

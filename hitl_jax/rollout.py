@@ -23,12 +23,10 @@ import numpy as np
 from hitl_jax import arbiter, batch
 from hitl_jax.agent import Agent
 from hitl_jax.config import Method, RunHyper, require
-from hitl_jax.devices import acting_device, learning_devices
+from hitl_jax.devices import acting_device, default_tile, learning_devices
 from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.episodes import EpisodeCounter, Row, Step
 from hitl_jax.types import Behavior, Params
-
-_CPU_TILE = 3
 
 LAG = 2
 """Calls of the learner that may be under way while the walkers play; see the module."""
@@ -145,18 +143,6 @@ def num_slots(num_runs: int, most: int) -> int:
     devices = len(learning_devices())
     power = 2 ** math.ceil(math.log2(num_runs))
     return math.ceil(min(power, most) / devices) * devices
-
-
-def default_tile(slots: int) -> int:
-    """Runs learned together on one device.
-
-    On a CPU enough to share the cost of small operations, few enough to stay in cache; all that an
-    accelerator has.
-
-    Args:
-        slots: of all devices together.
-    """
-    return _CPU_TILE if jax.default_backend() == "cpu" else slots // len(learning_devices())
 
 
 def method_index(method: Method) -> int:

@@ -1,9 +1,12 @@
-"""The threads of the learner give way, whatever the priority that the process was given."""
+"""Priorities of the learner's threads, and what a device learns together."""
 
 import subprocess
 import sys
 
+import jax
 import pytest
+
+from hitl_jax import devices
 
 _SCRIPT = """
 import os, pathlib
@@ -22,3 +25,10 @@ def test_learning_threads_let_others_go_first():
         [sys.executable, "-c", _SCRIPT], stdout=subprocess.PIPE, text=True, check=True
     )
     assert answer.stdout.split() == ["3", "3", "13"]
+
+
+def test_an_accelerator_learns_all_its_runs_together_and_a_cpu_a_few(monkeypatch):
+    monkeypatch.setattr(devices, "learning_devices", lambda: ("one", "another"))
+    assert devices.default_tile(32) == devices.default_tile(64) == 3
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert devices.default_tile(32) == 16
