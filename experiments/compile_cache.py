@@ -17,5 +17,6 @@ def keep_programs() -> None:
         with contextlib.suppress(RuntimeError):
             cache = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
             jax.config.update("jax_compilation_cache_dir", str(pathlib.Path(cache) / "hitl_jax"))
-    # The default keeps only what took a second to compile.
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        # JAX's own default keeps only what took a second to compile.
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
