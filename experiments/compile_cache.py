@@ -10,8 +10,9 @@ import jax
 def keep_programs() -> None:
     """Keeps compiled programs in the user's cache folder; called before the first array is made.
 
-    JAX_COMPILATION_CACHE_DIR names another folder; JAX_ENABLE_COMPILATION_CACHE=false keeps none.
-    Where there is no home, nothing is kept.
+    JAX_COMPILATION_CACHE_DIR names another folder; JAX_ENABLE_COMPILATION_CACHE=false keeps none;
+    JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS goes before the threshold here. Where there is no
+    home, nothing is kept.
     """
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         with contextlib.suppress(RuntimeError):
