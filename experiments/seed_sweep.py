@@ -5,8 +5,10 @@ trained walker, and writes tables and Figures 4 to 6. Started again in the same 
 is done.
 """
 
+import contextlib
 import dataclasses
 import hashlib
+import os
 import pathlib
 import shlex
 import signal
@@ -43,7 +45,10 @@ from hitl_jax.summary import write_summary
 from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
 
 FIRST_FIGURES_SECONDS = 100.0
-FIGURES_SECONDS = 120.0
+FIGURES_SECONDS = 300.0
+FIGURES_NICE = 10
+"""Added to the process's own: a drawing must not keep walkers waiting."""
+
 STATISTICS_SEED = 0
 """Seed of the bootstrap: the same data give the same intervals."""
 
@@ -220,7 +225,7 @@ class _Sweep:
         )
 
     def _draw_now_and_then(self) -> None:
-        """Draws in another process, so that training does not wait."""
+        """Draws in another process, of lower priority, so that training does not wait."""
         if time.monotonic() < self._draw_at or (self._drawing and self._drawing.poll() is None):
             return
         self.save_partial()
@@ -228,6 +233,8 @@ class _Sweep:
         self._drawing = subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
         )
+        with contextlib.suppress(ProcessLookupError):  # It may have ended already.
+            os.setpriority(os.PRIO_PROCESS, self._drawing.pid, os.nice(0) + FIGURES_NICE)
         self._draw_at = time.monotonic() + FIGURES_SECONDS
 
 

@@ -7,7 +7,8 @@ up costs nothing, and nothing is compiled again. A tile that is not full is fill
 its first run. Each device has its own runs and the same programs: two CPU devices keep two cores
 busy better than one with two threads, since a small matrix product does not split well.
 
-Acting. One small program for all runs on one device, called once a tick by the host loop.
+Acting. One small program for all runs on one device, called once a tick by the host loop. What it
+remembers, and hyperparameters, are packed: each array of a call costs the host time.
 """
 
 import functools
@@ -24,12 +25,16 @@ from hitl_jax import agent as agents
 from hitl_jax import replay
 from hitl_jax.acting import ActingState, act, begin_episode, init_acting
 from hitl_jax.agent import Agent
-from hitl_jax.config import RunHyper
+from hitl_jax.config import RunHyper, typed
 from hitl_jax.keys import make_key
+from hitl_jax.packing import pack, unpack
 from hitl_jax.types import Behavior, TrainState
 
 EXTRA_COLUMNS = ("control", "began", "human_action", "human_reset", "alarmed", "dangerous")
 """Columns of a packed decision behind those of the frame, in this order; each 0 or 1."""
+
+_SOME_HYPER = typed(RunHyper())
+"""Hyperparameters of the types that every run's have."""
 
 
 class Seats(NamedTuple):
@@ -37,25 +42,25 @@ class Seats(NamedTuple):
 
     Attributes:
         train: training states.
-        hyper: hyperparameters.
+        hyper: hyperparameters, packed, uint32 [R, H].
         memory: the replay.
     """
 
     train: TrainState
-    hyper: RunHyper
+    hyper: chex.Array
     memory: replay.Replay
 
 
 class Acting(NamedTuple):
-    """Everything on the acting device, leaves [R, ...].
+    """Everything on the acting device, packed.
 
     Attributes:
-        state: acting states.
-        hyper: hyperparameters.
+        state: acting states, uint32 [R, S].
+        hyper: hyperparameters, uint32 [R, H].
     """
 
-    state: ActingState
-    hyper: RunHyper
+    state: chex.Array
+    hyper: chex.Array
 
 
 class Programs(NamedTuple):
@@ -73,6 +78,7 @@ class Programs(NamedTuple):
             donates.
         unpack_behavior: (packed of each device) to what acting needs of all runs, one device after
             the other.
+        boundaries: acting to the carry of each run's boundary source, [R].
     """
 
     seat: Callable[..., Seats]
@@ -82,6 +88,7 @@ class Programs(NamedTuple):
     pack_behavior: Callable[[TrainState], chex.Array]
     seat_behavior: Callable[..., chex.Array]
     unpack_behavior: Callable[[Sequence[chex.Array]], Behavior]
+    boundaries: Callable[[Acting], chex.Array]
 
 
 def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, chex.PRNGKey]:
@@ -91,9 +98,7 @@ def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, 
     return learning, acting, testing
 
 
-def empty_seats(
-    agent: Agent, num_runs: int, capacity: int, device: jax.Device, like: RunHyper
-) -> Seats:
+def empty_seats(agent: Agent, num_runs: int, capacity: int, device: jax.Device) -> Seats:
     """Seats without runs, placed on one device.
 
     Args:
@@ -101,33 +106,33 @@ def empty_seats(
         num_runs: R, of this device.
         capacity: T, frames in the ring of each run.
         device: where their runs will learn.
-        like: hyperparameters whose types are taken over.
     """
 
     def make() -> Seats:
         train = agents.init(agent, make_key(0))
         return Seats(
             train=_rows(train, num_runs),
-            hyper=_rows(like, num_runs),
+            hyper=_rows(pack(_SOME_HYPER), num_runs),
             memory=replay.init(capacity, num_runs, agent.layout),
         )
 
     return jax.jit(make, out_shardings=SingleDeviceSharding(device))()
 
 
-def empty_acting(agent: Agent, num_runs: int, device: jax.Device, like: RunHyper) -> Acting:
+def empty_acting(agent: Agent, num_runs: int, device: jax.Device) -> Acting:
     """Acting without runs, placed on one device.
 
     Args:
         agent: the team.
         num_runs: R.
         device: where acting happens.
-        like: hyperparameters whose types are taken over.
     """
 
     def make() -> Acting:
-        state = init_acting(agent, like, make_key(0))
-        return Acting(state=_rows(state, num_runs), hyper=_rows(like, num_runs))
+        return Acting(
+            state=_rows(pack(_some_acting(agent)), num_runs),
+            hyper=_rows(pack(_SOME_HYPER), num_runs),
+        )
 
     return jax.jit(make, out_shardings=SingleDeviceSharding(device))()
 
@@ -144,17 +149,17 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
     def seat(seats: Seats, slot: chex.Array, hyper: RunHyper, key: chex.PRNGKey) -> Seats:
         return Seats(
             train=_put(seats.train, slot, agents.init(agent, key)),
-            hyper=_put(seats.hyper, slot, hyper),
+            hyper=_put(seats.hyper, slot, pack(hyper)),
             memory=replay.begin_run(seats.memory, slot),
         )
 
     def seat_acting(acting: Acting, slot: chex.Array, hyper: RunHyper, key: chex.PRNGKey) -> Acting:
         return Acting(
-            state=_put(acting.state, slot, init_acting(agent, hyper, key)),
-            hyper=_put(acting.hyper, slot, hyper),
+            state=_put(acting.state, slot, pack(init_acting(agent, hyper, key))),
+            hyper=_put(acting.hyper, slot, pack(hyper)),
         )
 
-    # Hyperparameters go in and do not come out: each array of a call costs the host time.
+    # Hyperparameters go in and do not come out.
     act_all = jax.jit(functools.partial(_act_all, agent), donate_argnums=0)
     learn_all = jax.jit(functools.partial(_learn_all, agent, num_updates, tile), donate_argnums=0)
 
@@ -172,6 +177,10 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         )
         return seats._replace(train=train, memory=memory), packed
 
+    def boundaries(acting: Acting) -> chex.Array:
+        like = _some_acting(agent)
+        return jax.vmap(lambda state: unpack(like, state).boundary)(acting.state)
+
     def seat_behavior(packed: chex.Array, slot: chex.Array, row: chex.Array) -> chex.Array:
         return packed.at[slot].set(row[0])
 
@@ -183,6 +192,7 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         pack_behavior=jax.jit(_pack_behavior),
         seat_behavior=jax.jit(seat_behavior, donate_argnums=0),
         unpack_behavior=jax.jit(functools.partial(_unpack_behavior, agent)),
+        boundaries=jax.jit(boundaries),
     )
 
 
@@ -218,22 +228,36 @@ def act_or_begin(
     return state, jnp.concatenate([observation, decision.action, tail])
 
 
-def unpack(packed: np.ndarray, layout: replay.Layout) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Frames [R, W], to be written to, and the flags of `EXTRA_COLUMNS` by name, bool [R]."""
-    flags = packed[:, layout.width :].T > 0.5
-    return packed[:, : layout.width].copy(), dict(zip(EXTRA_COLUMNS, flags, strict=True))
+def flags_of(decided: np.ndarray, layout: replay.Layout) -> dict[str, np.ndarray]:
+    """The flags of `EXTRA_COLUMNS` by name, bool [R], from what acting gave, [R, W + 6]."""
+    return dict(zip(EXTRA_COLUMNS, decided[:, layout.width :].T > 0.5, strict=True))
 
 
 def _act_all(
     agent: Agent,
-    state: ActingState,
-    hyper: RunHyper,
+    state: chex.Array,
+    hyper: chex.Array,
     params: Behavior,
     observation: chex.Array,
     live: chex.Array,
-) -> tuple[ActingState, chex.Array]:
-    step = functools.partial(act_or_begin, agent)
-    return jax.vmap(step)(hyper, params, state, observation, live)
+) -> tuple[chex.Array, chex.Array]:
+    def step(
+        state: chex.Array,
+        hyper: chex.Array,
+        params: Behavior,
+        observation: chex.Array,
+        live: chex.Array,
+    ) -> tuple[chex.Array, chex.Array]:
+        before, settings = unpack(_some_acting(agent), state), unpack(_SOME_HYPER, hyper)
+        after, decided = act_or_begin(agent, settings, params, before, observation, live)
+        return pack(after), decided
+
+    return jax.vmap(step)(state, hyper, params, observation, live)
+
+
+def _some_acting(agent: Agent) -> ActingState:
+    """An acting state of the types and shapes that every run's has."""
+    return init_acting(agent, _SOME_HYPER, make_key(0))
 
 
 def _pack_behavior(train: TrainState) -> chex.Array:
@@ -261,7 +285,7 @@ def _learn_all(
     num_updates: int,
     tile: int,
     learned: tuple[TrainState, replay.Replay],
-    hyper: RunHyper,
+    hyper: chex.Array,
     frames: chex.Array,
     slots: chex.Array,
     count: chex.Array,
@@ -271,9 +295,10 @@ def _learn_all(
     slots = jnp.concatenate([slots, jnp.zeros((tile,), slots.dtype)])
 
     def one(
-        hyper: RunHyper, state: TrainState, memory: replay.Replay, column: chex.Array
+        hyper: chex.Array, state: TrainState, memory: replay.Replay, column: chex.Array
     ) -> TrainState:
-        return agents.learn(agent, hyper, state, memory, column, num_updates)
+        settings = unpack(_SOME_HYPER, hyper)
+        return agents.learn(agent, settings, state, memory, column, num_updates)
 
     several = jax.vmap(one, in_axes=(0, 0, None, 0))
 

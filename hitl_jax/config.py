@@ -8,6 +8,8 @@ import dataclasses
 import enum
 import math
 
+import jax
+import numpy as np
 from flax import struct
 
 from hitl_jax.human import DANGER_MODELS, HumanParams, validate_human_params
@@ -176,6 +178,15 @@ class RunHyper(Hyper):
     has_arbiter: float = 1.0
     learns_boundary: float = 1.0
     human_present: float = 1.0
+
+
+def typed(hyper: RunHyper) -> RunHyper:
+    """Host scalars of the types that the defaults have, whatever a caller wrote (1 for 1.0)."""
+
+    def cast(default: float, value: float) -> np.ndarray:
+        return np.asarray(value, np.int32 if isinstance(default, int) else np.float32)
+
+    return jax.tree.map(cast, RunHyper(), hyper)
 
 
 def hyper_for(method: Method, hyper: Hyper) -> RunHyper:

@@ -63,19 +63,19 @@ class EpisodeCounter:
     """Running totals of the episode that each walker is in."""
 
     def __init__(self, num_walkers: int):
-        self._totals = {name: np.zeros(num_walkers) for name in _COUNTS}
-        # The alarms of the last k steps, newest last.
-        self._recent = np.zeros((num_walkers, ALARM_WINDOW), bool)
+        self._totals = np.zeros((len(_COUNTS), num_walkers))
+        # Whether a step raised an alarm, of the last k steps; step i at i mod k.
+        self._recent = np.zeros((ALARM_WINDOW, num_walkers), bool)
+        self._walkers = np.arange(num_walkers)
 
     def clear(self, walker: int) -> None:
         """Forgets a walker's unfinished episode."""
-        for total in self._totals.values():
-            total[walker] = 0.0
-        self._recent[walker] = False
+        self._totals[:, walker] = 0.0
+        self._recent[:, walker] = False
 
     def intervened(self, control: np.ndarray) -> np.ndarray:
         """Whether u was 1 at any step of this episode, this step included, bool [N]."""
-        return control | (self._totals["intervened_steps"] > 0)
+        return control | (self._totals[_COUNTS.index("intervened_steps")] > 0)
 
     def count(self, step: Step) -> list[tuple[int, Row]]:
         """Adds one tick.
@@ -87,26 +87,29 @@ class EpisodeCounter:
             (walker, row) of each episode that ended: the measures that training and test share.
         """
         live = step.live
-        totals = self._totals
-        totals["return"] += np.where(live, step.reward, 0.0)
-        totals["shaped_return"] += np.where(live, step.shaped, 0.0)
-        totals["length"] += live
-        totals["interventions"] += live & step.began
-        totals["intervened_steps"] += live & step.control
-        totals["human_steps"] += live & step.human_action
-        totals["alarms"] += live & step.alarmed
-        totals["true_alarms"] += live & step.alarmed & step.dangerous
-        totals["false_alarms"] += live & step.alarmed & ~step.dangerous
-        totals["boundary_sum"] += np.where(live, step.boundary, 0.0)
-        self._recent[live, :-1] = self._recent[live, 1:]
-        self._recent[live, -1] = step.alarmed[live]
+        place = self._totals[_COUNTS.index("length")].astype(int) % ALARM_WINDOW
+        self._recent[place, self._walkers] = step.alarmed
+        added = (  # In the order of `_COUNTS`.
+            step.reward,
+            step.shaped,
+            live,
+            step.began,
+            step.control,
+            step.human_action,
+            step.alarmed,
+            step.alarmed & step.dangerous,
+            step.alarmed & ~step.dangerous,
+            step.boundary,
+        )
+        np.add(self._totals, added, out=self._totals, where=live)
         ended = live & (step.terminated | step.truncated | step.human_reset)
         return [(int(walker), self._finish(int(walker), step)) for walker in np.flatnonzero(ended)]
 
     def _finish(self, walker: int, step: Step) -> Row:
-        totals = {name: float(total[walker]) for name, total in self._totals.items()}
+        totals = dict(zip(_COUNTS, self._totals[:, walker].tolist(), strict=True))
         fall = bool(step.terminated[walker]) and float(step.reward[walker]) <= FALL_REWARD
-        timely = np.flatnonzero(self._recent[walker]) if fall else np.empty(0, int)
+        oldest_first = np.roll(self._recent[:, walker], -int(totals["length"]) % ALARM_WINDOW)
+        timely = np.flatnonzero(oldest_first) if fall else np.empty(0, int)
         row: Row = {
             "return": totals["return"],
             "shaped_return": totals["shaped_return"],

@@ -87,7 +87,7 @@ class Evaluator:
             decided = np.asarray(packed)
             command = np.where(active, Command.STEP, Command.IDLE).astype(np.uint8)
             answer = self._pool.step(command, decided[:, layout.action], seeds)
-            _, extra = batch.unpack(decided, layout)
+            flags = batch.flags_of(decided, layout)
             known = hyper.has_arbiter > 0
             step = Step(
                 live=active,
@@ -96,11 +96,11 @@ class Evaluator:
                 terminated=answer.terminated,
                 truncated=answer.truncated,
                 human_reset=np.zeros(len(seeds), bool),
-                control=extra["control"],
-                human_action=extra["human_action"],
-                began=extra["began"],
-                alarmed=extra["alarmed"],
-                dangerous=extra["dangerous"],
+                control=flags["control"],
+                human_action=flags["human_action"],
+                began=flags["began"],
+                alarmed=flags["alarmed"],
+                dangerous=flags["dangerous"],
                 boundary=decided[:, layout.boundary] if known else np.full(len(seeds), np.nan),
             )
             active = active.copy()

@@ -28,6 +28,11 @@ def make_key(seed: int) -> chex.PRNGKey:
     return jax.random.key(seed, impl=_IMPLEMENTATION)
 
 
+def wrap_key(words: chex.Array) -> chex.PRNGKey:
+    """The typed keys, [...], of which `jax.random.key_data` gives these words, uint32 [..., 2]."""
+    return jax.random.wrap_key_data(words, impl=_IMPLEMENTATION)
+
+
 def _threefry(key: chex.Array, counter: _Words) -> _Words:
     """Threefry-2x32 in 20 rounds (https://doi.org/10.1145/2063384.2063405).
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from hitl_jax import arbiter, batch
 from hitl_jax.agent import Agent
-from hitl_jax.config import Method, RunHyper, require
+from hitl_jax.config import Method, RunHyper, require, typed
 from hitl_jax.devices import acting_device, default_tile, learning_devices
 from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.episodes import EpisodeCounter, Row, Step
@@ -188,12 +188,10 @@ class Rollout:
             agent, self._num_updates, default_tile(slots) if tile is None else tile
         )
         self._acting_device = acting_device()
-        like = _typed(specs[0].hyper)
         self._seats = [
-            batch.empty_seats(agent, self._share, config.frames, device, like)
-            for device in self._devices
+            batch.empty_seats(agent, self._share, config.frames, device) for device in self._devices
         ]
-        self._acting = batch.empty_acting(agent, slots, self._acting_device, like)
+        self._acting = batch.empty_acting(agent, slots, self._acting_device)
         self._learned = deque(
             [self._programs.pack_behavior(seats.train) for seats in self._seats]
             for _ in range(LAG + 1)
@@ -241,7 +239,7 @@ class Rollout:
         return FinishedRun(
             run=run,
             train=jax.tree.map(lambda leaf: leaf[0], jax.device_get(self._take(train, column))),
-            boundary=np.asarray(self._acting.state.boundary)[run.slot],
+            boundary=np.asarray(self._programs.boundaries(self._acting))[run.slot],
         )
 
     def wait(self) -> None:
@@ -259,7 +257,7 @@ class Rollout:
             return
         spec = self._queue.popleft()
         learning, acting, _ = batch.run_keys(spec.seed, method_index(spec.method))
-        hyper = _typed(spec.hyper)
+        hyper = typed(spec.hyper)
         device, column = divmod(slot, self._share)
         self._seats[device] = self._programs.seat(self._seats[device], column, hyper, learning)
         acting_key = jax.device_put(acting, self._acting_device)
@@ -287,26 +285,29 @@ class Rollout:
             command = np.where(live, Command.STEP, Command.IDLE).astype(np.uint8)
             command[self._active & self._needs_reset] = Command.RESET
             answer = self._pool.step(command, decided[:, self._layout.action], self._seeds)
-            frames[:, tick] = self._record(live, decided, answer)
+            frames[:, tick] = decided[:, : self._layout.width]
+            self._record(live, decided, answer, frames[:, tick])
             self._observation = answer.observation
         for run in self.runs():
             run.ticks += self._config.chunk
         return frames
 
-    def _record(self, live: np.ndarray, decided: np.ndarray, answer: StepBatch) -> np.ndarray:
-        """Books one tick; its frames, [R, W]."""
+    def _record(
+        self, live: np.ndarray, decided: np.ndarray, answer: StepBatch, frame: np.ndarray
+    ) -> None:
+        """Books one tick, and writes into its frames, [R, W], what the plant told."""
         layout, config = self._layout, self._agent.config
-        frame, extra = batch.unpack(decided, layout)
-        human_reset = live & extra["human_reset"]
+        flags = batch.flags_of(decided, layout)
+        human_reset = live & flags["human_reset"]
         terminated = answer.terminated | (human_reset & config.human_reset_terminates)
         truncated = (answer.truncated | human_reset) & ~terminated
         shaped = arbiter.shaped_reward(
             answer.reward,
-            extra["control"],
+            flags["control"],
             self._feedback,
             config.feedback_schedule,
             terminated | truncated,
-            self._counter.intervened(extra["control"]),
+            self._counter.intervened(flags["control"]),
         )
         frame[:, layout.reward] = np.where(live, shaped, 0.0)
         frame[:, layout.terminated] = live & terminated
@@ -318,17 +319,16 @@ class Rollout:
             terminated=answer.terminated,
             truncated=answer.truncated,
             human_reset=human_reset,
-            control=extra["control"],
-            human_action=extra["human_action"],
-            began=extra["began"],
-            alarmed=extra["alarmed"],
-            dangerous=extra["dangerous"],
+            control=flags["control"],
+            human_action=flags["human_action"],
+            began=flags["began"],
+            alarmed=flags["alarmed"],
+            dangerous=flags["dangerous"],
             boundary=np.where(self._has_arbiter, decided[:, layout.boundary], np.nan),
         )
         self._needs_reset[:] = False
         for slot, row in self._counter.count(step):
             self._end_episode(slot, row)
-        return frame
 
     def _end_episode(self, slot: int, row: Row) -> None:
         run = self._runs[slot]
@@ -365,15 +365,6 @@ class Rollout:
     def _to_acting(self, packed: list[jax.Array]) -> Behavior:
         """What acting needs, of all runs, on its device."""
         return self._programs.unpack_behavior(jax.device_put(packed, self._acting_device))
-
-
-def _typed(hyper: RunHyper) -> RunHyper:
-    """Host scalars of the types that the defaults have, whatever a caller wrote (1 for 1.0)."""
-
-    def cast(default: float, value: float) -> np.ndarray:
-        return np.asarray(value, np.int32 if isinstance(default, int) else np.float32)
-
-    return jax.tree.map(cast, RunHyper(), hyper)
 
 
 def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:

@@ -46,7 +46,7 @@ def _learn(runs, tile, skip=(), device=0):
 
 
 def _empty(num_runs, device=0):
-    return batch.empty_seats(_AGENT, num_runs, 64, cpu_device(device), _hyper(0))
+    return batch.empty_seats(_AGENT, num_runs, 64, cpu_device(device))
 
 
 def _same(one, other):

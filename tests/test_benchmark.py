@@ -1,18 +1,22 @@
 """What the benchmark counts and says; its figures are no test's business."""
 
+import contextlib
 import subprocess
 import sys
 
+import jax
+import numpy as np
 import pytest
 from toy import ToyPool
 
 from experiments.benchmark import BenchmarkOptions, main
 from experiments.benchmarks import loop, peers, scaling
 from experiments.benchmarks.learner import update_flops
-from experiments.benchmarks.timing import memory_mb
+from experiments.benchmarks.timing import busy_seconds, memory_mb
 from experiments.cli import run_main
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Method
+from hitl_jax.devices import cpu_device
 from hitl_jax.rollout import LoopConfig, Rollout
 
 
@@ -88,10 +92,31 @@ def test_steps_of_a_stretch_are_counted_without_resets():
     assert played.steps < 4 * played.ticks
 
 
-def test_memory_of_children_is_added():
-    command = [sys.executable, "-c", "print('up', flush=True); input()"]
+@contextlib.contextmanager
+def _child(before):
+    """A process that has done something and waits."""
+    command = [sys.executable, "-c", f"{before}; print('up', flush=True); input()"]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe) as child:
         child.stdout.readline()
-        assert memory_mb(children=True) > memory_mb() + 2
+        yield
         child.communicate(b"\n")
+
+
+def test_memory_of_children_is_added():
+    with _child("pass"):
+        assert memory_mb(children=True) > memory_mb() + 2
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's /proc and priorities")
+def test_busy_are_learners_and_children_not_this_thread():
+    before = busy_seconds()
+    sum(range(10**7))
+    with _child("sum(range(10**7))"):
+        after = busy_seconds()
+        assert after.walkers - before.walkers > 0.05
+    assert after.learner - before.learner < 0.02
+    product = jax.jit(lambda x: x @ x)
+    x = jax.device_put(np.ones((1500, 1500), np.float32), cpu_device(0))
+    product(x).block_until_ready()
+    assert busy_seconds().learner - after.learner > 0.01

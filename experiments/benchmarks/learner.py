@@ -98,7 +98,7 @@ def make_learner(
     add = jax.jit(replay.add, donate_argnums=0)
     seats = []
     for device in learning_devices():
-        empty = batch.empty_seats(agent, share, loop.frames, device, hyper)
+        empty = batch.empty_seats(agent, share, loop.frames, device)
         for column in range(share):
             empty = programs.seat(empty, column, hyper, make_key(column))
         seats.append(empty._replace(memory=add(empty.memory, past)))

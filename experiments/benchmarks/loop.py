@@ -1,4 +1,9 @@
-"""The whole loop beside the sum of its parts: learner and walkers, each with the cores alone."""
+"""The whole loop beside its bound, the busy time of learner and walkers over the cores.
+
+Busy time is told in two ways: as core time of the learner's threads and of the walkers' processes
+while the loop runs, and, stricter, as what the same updates and ticks take with all cores to
+themselves, where neither takes the other's cache.
+"""
 
 import time
 from collections.abc import Iterator
@@ -8,10 +13,10 @@ import jax
 import numpy as np
 
 from experiments.benchmarks.learner import make_learner
-from experiments.benchmarks.timing import REPEATS, Row, best, memory_mb
+from experiments.benchmarks.timing import REPEATS, Row, best, busy_seconds, memory_mb
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.envs import StepBatch, WalkerPool, make_pool
+from hitl_jax.envs import StepBatch, WalkerPool, make_pool, num_cores
 from hitl_jax.rollout import LoopConfig, Rollout, RunSpec, num_slots
 
 COMPILED = "backend_compile_duration"
@@ -31,11 +36,13 @@ class Played(NamedTuple):
         ticks: of every run.
         steps: environment steps of all runs together; a tick that resets a walker is none.
         seconds: until the last update of the stretch was done.
+        busy: core time of learner and walkers [s].
     """
 
     ticks: int
     steps: int
     seconds: float
+    busy: float
 
 
 def specs_of(methods: list[Method], num_runs: int) -> list[RunSpec]:
@@ -58,24 +65,26 @@ def warm_up(rollout: Rollout, chunks: Iterator[Any]) -> None:
 def play(rollout: Rollout, chunks: Iterator[Any], seconds: float) -> Played:
     """Plays for some seconds; the learner has nothing to do before, and nothing left after."""
 
-    def state() -> tuple[int, int]:
+    def state() -> tuple[int, int, float]:
         rollout.wait()
         runs = rollout.runs()
-        return runs[0].ticks, sum(run.ticks - len(run.episodes) for run in runs)
+        steps = sum(run.ticks - len(run.episodes) for run in runs)
+        return runs[0].ticks, steps, sum(busy_seconds())
 
-    ticks, steps = state()
+    ticks, steps, busy = state()
     start = time.perf_counter()
     while time.perf_counter() - start < seconds:
         next(chunks)
-    ticks_after, steps_after = state()
-    return Played(ticks_after - ticks, steps_after - steps, time.perf_counter() - start)
+    ticks_after, steps_after, busy_after = state()
+    took = time.perf_counter() - start
+    return Played(ticks_after - ticks, steps_after - steps, took, busy_after - busy)
 
 
 def measure_loop(seconds: float) -> list[Row]:
     """Rates, compiled programs and memory over time: the default learner with a small replay.
 
-    Beside it what its updates and its ticks take alone, each with all cores and as full a replay;
-    acting, bookkeeping and waiting are what the loop adds.
+    Beside it what its updates and its ticks take alone, each with all cores and as full a replay.
+    Acting, bookkeeping and waiting are what the loop adds.
     """
     config = LoopConfig(capacity=2 * WARMUP_STEPS)  # Full when the warm-up ends.
     agent = make_agent(AgentConfig())
@@ -108,10 +117,11 @@ def measure_loop(seconds: float) -> list[Row]:
                     "updates/s": round(
                         played.ticks * RUNS * config.updates_per_step / played.seconds
                     ),
-                    "learner s": round(learning, 2),
-                    "walkers s": round(walking, 2),
                     "loop s": round(played.seconds, 2),
-                    "parts / loop": round((learning + walking) / played.seconds, 3),
+                    "learner alone s": round(learning, 2),
+                    "walkers alone s": round(walking, 2),
+                    "alone / loop": round((learning + walking) / played.seconds, 3),
+                    "busy": round(played.busy / played.seconds / num_cores(), 3),
                     "bar": BAR,
                     "programs compiled": programs,
                     "memory MB": round(memory),

@@ -7,7 +7,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 
@@ -44,11 +44,49 @@ def memory_mb(children: bool = False) -> float:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return peak / (1e6 if sys.platform == "darwin" else 1e3)
     pages = 0
-    processes = ["self"]
-    if children:
-        tasks = proc.joinpath("self/task").glob("*/children")
-        processes += " ".join(task.read_text() for task in tasks).split()
-    for process in processes:
+    for process in ["self", *(_children() if children else [])]:
         with contextlib.suppress(OSError):  # It may have ended meanwhile.
             pages += int(proc.joinpath(process, "statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+class Busy(NamedTuple):
+    """Core time since their start, of those that do the work [s]; NaN where /proc is missing.
+
+    Attributes:
+        learner: of this process's threads of lower priority, those that learn.
+        walkers: of the processes that it started.
+    """
+
+    learner: float
+    walkers: float
+
+
+def busy_seconds() -> Busy:
+    """Core time so far; differences are what counts, between which no process may end."""
+    proc = pathlib.Path("/proc")
+    if not proc.joinpath("self/stat").exists():
+        return Busy(float("nan"), float("nan"))
+    threads = [_thread(stat) for stat in proc.glob("self/task/*/stat")]
+    usual = _thread(proc / "self/stat").nice
+    return Busy(
+        learner=sum(thread.seconds for thread in threads if thread.nice > usual),
+        walkers=sum(_thread(proc / child / "stat").seconds for child in _children()),
+    )
+
+
+class _Thread(NamedTuple):
+    seconds: float
+    nice: int
+
+
+def _thread(stat: pathlib.Path) -> _Thread:
+    """What Linux counts of a thread, or of all threads of a process; see proc(5)."""
+    fields = stat.read_text().rsplit(")", 1)[1].split()
+    ticks = int(fields[11]) + int(fields[12])
+    return _Thread(ticks / os.sysconf("SC_CLK_TCK"), int(fields[16]))
+
+
+def _children() -> list[str]:
+    tasks = pathlib.Path("/proc/self/task").glob("*/children")
+    return " ".join(task.read_text() for task in tasks).split()

@@ -1,0 +1,66 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hitl_jax import batch
+from hitl_jax.acting import init_acting
+from hitl_jax.agent import make_agent
+from hitl_jax.config import AgentConfig, RunHyper, typed
+from hitl_jax.keys import make_key
+from hitl_jax.packing import pack, unpack
+
+
+def _bits(tree):
+    """Leaves as text; keys by their data."""
+
+    def data(leaf):
+        key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        return jax.random.key_data(leaf) if key else leaf
+
+    return [(leaf.dtype, leaf.shape, np.asarray(data(leaf)).tobytes()) for leaf in tree]
+
+
+def test_every_bit_comes_back():
+    tree = {
+        "floats": jnp.array([[1.5, -0.0], [jnp.inf, jnp.nan]]),
+        "most": jnp.int32(2**31 - 1),
+        "negative": jnp.int32(-1),
+        "flags": jnp.array([True, False]),
+        "none": jnp.zeros((0, 3)),
+        "key": make_key(7),
+        "keys": jax.random.split(make_key(8), 3),
+    }
+    words = jax.jit(pack)(tree)
+    assert (words.dtype, words.shape) == (jnp.uint32, (4 + 1 + 1 + 2 + 2 + 6,))
+    back = jax.jit(unpack)(tree, words)
+    assert jax.tree.structure(back) == jax.tree.structure(tree)
+    assert _bits(jax.tree.leaves(back)) == _bits(jax.tree.leaves(tree))
+    assert jax.random.uniform(back["key"]) == jax.random.uniform(make_key(7))
+
+
+@pytest.mark.parametrize("change", [-1, 1])
+def test_the_number_of_words_is_checked(change):
+    tree = (jnp.zeros(3), jnp.int32(1))
+    with pytest.raises(AssertionError, match="shape"):
+        unpack(tree, jnp.zeros(4 + change, jnp.uint32))
+
+
+def test_acting_and_hyperparameters_of_every_choice_can_be_packed():
+    hyper = typed(RunHyper())
+    for choices in ({}, {"boundary_source": "network", "intervention": "takeover"}):
+        state = init_acting(make_agent(AgentConfig(**choices)), hyper, make_key(3))
+        for tree in (state, hyper):
+            tree = jax.tree.map(jnp.asarray, tree)
+            back = unpack(tree, pack(tree))
+            assert _bits(jax.tree.leaves(back)) == _bits(jax.tree.leaves(tree))
+
+
+def test_the_boundary_of_every_run_is_read_back():
+    agent = make_agent(AgentConfig())
+    programs = batch.make_programs(agent, 2, 1)
+    acting = batch.empty_acting(agent, 3, jax.devices()[0])
+    hyper = typed(RunHyper(initial_boundary=0.25))
+    acting = programs.seat_acting(acting, 1, hyper, make_key(0))
+    default = RunHyper().initial_boundary
+    np.testing.assert_allclose(programs.boundaries(acting), [default, 0.25, default])
