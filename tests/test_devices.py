@@ -1,5 +1,6 @@
 """Priorities of the learner's threads, and what a device learns together."""
 
+import os
 import subprocess
 import sys
 
@@ -24,7 +25,8 @@ def test_learning_threads_let_others_go_first():
     answer = subprocess.run(
         [sys.executable, "-c", _SCRIPT], stdout=subprocess.PIPE, text=True, check=True
     )
-    assert answer.stdout.split() == ["3", "3", "13"]
+    usual = min(os.nice(0) + 3, 19)  # These tests may run under `nice` themselves.
+    assert [int(nice) for nice in answer.stdout.split()] == [usual, usual, min(usual + 10, 19)]
 
 
 def test_an_accelerator_learns_all_its_runs_together_and_a_cpu_a_few(monkeypatch):
