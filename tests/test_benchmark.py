@@ -12,7 +12,7 @@ from toy import ToyPool
 from experiments.benchmark import BenchmarkOptions, main
 from experiments.benchmarks import loop, peers, scaling
 from experiments.benchmarks.learner import update_flops
-from experiments.benchmarks.timing import busy_seconds, memory_mb
+from experiments.benchmarks.timing import busy_seconds, memory_mb, stolen_seconds
 from experiments.cli import run_main
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Method
@@ -106,6 +106,11 @@ def _child(before):
 def test_memory_of_children_is_added():
     with _child("pass"):
         assert memory_mb(children=True) > memory_mb() + 2
+
+
+def test_stolen_time_only_grows():
+    before = stolen_seconds()
+    assert 0 <= before <= stolen_seconds()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's /proc and priorities")

@@ -1,8 +1,8 @@
 """The whole loop beside its bound, the busy time of learner and walkers over the cores.
 
 Busy time is told in two ways: as core time of the learner's threads and of the walkers' processes
-while the loop runs, and, stricter, as what the same updates and ticks take with all cores to
-themselves, where neither takes the other's cache.
+while the loop runs, as a share of what the machine's host left of the cores, and, stricter, as what
+the same updates and ticks take with all cores to themselves, where neither takes the other's cache.
 """
 
 import time
@@ -13,7 +13,14 @@ import jax
 import numpy as np
 
 from experiments.benchmarks.learner import make_learner
-from experiments.benchmarks.timing import REPEATS, Row, best, busy_seconds, memory_mb
+from experiments.benchmarks.timing import (
+    REPEATS,
+    Row,
+    best,
+    busy_seconds,
+    memory_mb,
+    stolen_seconds,
+)
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs import StepBatch, WalkerPool, make_pool, num_cores
@@ -37,12 +44,14 @@ class Played(NamedTuple):
         steps: environment steps of all runs together; a tick that resets a walker is none.
         seconds: until the last update of the stretch was done.
         busy: core time of learner and walkers [s].
+        stolen: core time that other virtual machines took meanwhile [s].
     """
 
     ticks: int
     steps: int
     seconds: float
     busy: float
+    stolen: float
 
 
 def specs_of(methods: list[Method], num_runs: int) -> list[RunSpec]:
@@ -72,12 +81,12 @@ def play(rollout: Rollout, chunks: Iterator[Any], seconds: float) -> Played:
         return runs[0].ticks, steps, sum(busy_seconds())
 
     ticks, steps, busy = state()
-    start = time.perf_counter()
+    stolen, start = stolen_seconds(), time.perf_counter()
     while time.perf_counter() - start < seconds:
         next(chunks)
     ticks_after, steps_after, busy_after = state()
-    took = time.perf_counter() - start
-    return Played(ticks_after - ticks, steps_after - steps, took, busy_after - busy)
+    took, stolen = time.perf_counter() - start, stolen_seconds() - stolen
+    return Played(ticks_after - ticks, steps_after - steps, took, busy_after - busy, stolen)
 
 
 def measure_loop(seconds: float) -> list[Row]:
@@ -106,6 +115,7 @@ def measure_loop(seconds: float) -> list[Row]:
         for part in range(REPEATS):
             programs = len(compiled)
             played = play(rollout, chunks, 2 * seconds)
+            cores_seconds = played.seconds * num_cores()
             programs, memory = len(compiled) - programs, memory_mb()
             walking = _replay(again, pool.ticks)
             learning = best(learn, seconds) * played.ticks / config.chunk
@@ -121,7 +131,8 @@ def measure_loop(seconds: float) -> list[Row]:
                     "learner alone s": round(learning, 2),
                     "walkers alone s": round(walking, 2),
                     "alone / loop": round((learning + walking) / played.seconds, 3),
-                    "busy": round(played.busy / played.seconds / num_cores(), 3),
+                    "stolen": round(played.stolen / cores_seconds, 3),
+                    "busy": round(played.busy / (cores_seconds - played.stolen), 3),
                     "bar": BAR,
                     "programs compiled": programs,
                     "memory MB": round(memory),
