@@ -7,11 +7,8 @@ is done.
 
 import contextlib
 import dataclasses
-import hashlib
 import os
-import pathlib
 import shlex
-import signal
 import subprocess
 import sys
 import time
@@ -23,26 +20,19 @@ from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
 from experiments.options import SweepOptions
 from experiments.progress import Progress
-from hitl_jax import checkpoint, figures, human_actions
-from hitl_jax.agent import Agent, make_agent
+from experiments.training import Plant, make_team, policy_digest, train_and_test
+from hitl_jax import checkpoint, figures
+from hitl_jax.agent import Agent
 from hitl_jax.config import Method, hyper_for
 from hitl_jax.devices import learning_devices
 from hitl_jax.envs import make_pool
-from hitl_jax.episodes import ALARM_WINDOW
-from hitl_jax.evaluation import Evaluator, Mode, evaluate_run
+from hitl_jax.episodes import ALARM_WINDOW, Row
 from hitl_jax.files import ResultsError
-from hitl_jax.networks import Actor
 from hitl_jax.provenance import git_commit, versions
 from hitl_jax.results import ResultsFolder, RunKey
-from hitl_jax.rollout import (
-    FinishedRun,
-    Rollout,
-    RunSpec,
-    episode_seed,
-    num_slots,
-)
+from hitl_jax.rollout import FinishedRun, Rollout, RunSpec, num_slots
 from hitl_jax.summary import write_summary
-from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
+from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS, to_columns
 
 FIRST_FIGURES_SECONDS = 100.0
 FIGURES_SECONDS = 300.0
@@ -65,7 +55,7 @@ def main(options: SweepOptions) -> int:
     with checking_input():
         options = options.checked()
         scale = options.scale()
-        agent = _make_agent(options)
+        agent = make_team(options.agent, options.human_policy)
         folder = ResultsFolder(options.out)
         config = _config(options)
         if options.backend == "envpool":
@@ -124,7 +114,6 @@ class _Sweep:
         self._specs = specs
         self._rollout: Rollout | None = None
         self._drawing: subprocess.Popen | None = None
-        self._interrupted = False
         self._started = time.monotonic()
         self._draw_at = self._started + FIRST_FIGURES_SECONDS
         self._provenance = {"versions": versions(), "commit": git_commit()}
@@ -137,54 +126,30 @@ class _Sweep:
         options = self._options
         devices = learning_devices()
         slots = num_slots(len(self._specs), options.slots)
-        with (
-            make_pool(options.backend, slots, options.workers, seed=self._seed("train")) as pool,
-            make_pool(
-                options.backend,
-                options.scale().test_episodes,
-                options.workers,
-                seed=self._seed("test"),
-            ) as test_pool,
-            self._progress as progress,
-        ):
+        plant = Plant(options.backend, slots, options.workers, options.scale().test_episodes)
+        with self._progress as progress:
             progress.say(
                 f"{len(self._specs)} runs in {slots} slots on {len(devices)} {devices[0].platform} "
                 f"devices; results in {options.out}"
             )
-            evaluator = Evaluator(self._agent, test_pool)
-            self._rollout = Rollout(self._agent, self._specs, pool, options.loop)
-            previous = signal.signal(signal.SIGINT, self._interrupt)
-            try:
-                for done in self._rollout:
-                    for finished in done:
-                        self._finish(finished, evaluator)
-                    if self._interrupted:
-                        raise KeyboardInterrupt
-                    progress.show(self._rollout.runs())
-                    self._draw_now_and_then()
-            finally:
-                signal.signal(signal.SIGINT, previous)
+            tested = train_and_test(self._agent, self._specs, options.loop, plant, self._watch)
+            with contextlib.closing(tested):
+                for finished, tests in tested:
+                    self._finish(finished, tests)
         if self._drawing is not None:
             self._drawing.wait()
 
-    def _seed(self, phase: str) -> int:
-        """A seed for EnvPool, whose walkers cannot be seeded one by one: other runs, other seed."""
-        return episode_seed(phase, *(f"{spec.method}-{spec.seed}" for spec in self._specs)) >> 1
+    def _watch(self, rollout: Rollout) -> None:
+        self._rollout = rollout
+        self._progress.show(rollout.runs())
+        self._draw_now_and_then()
 
     def save_partial(self) -> None:
         """Writes, for the figures, the episodes of the runs that are not finished."""
         for run in self._rollout.runs() if self._rollout else []:
             if run.episodes and not run.done:
                 key = RunKey(run.spec.method, run.spec.seed)
-                self._folder.write_partial(key, _columns(run.episodes, EPISODE_COLUMNS))
-
-    def _interrupt(self, *_: object) -> None:
-        """Ctrl-C: stops after the chunk, or the test, under way; a second one stops at once.
-
-        Raised at any instant, KeyboardInterrupt could land where Python drops it.
-        """
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        self._interrupted = True
+                self._folder.write_partial(key, to_columns(run.episodes, EPISODE_COLUMNS))
 
     def stop_drawing(self) -> None:
         """Ends a drawing that is under way: a folder has one writer."""
@@ -192,14 +157,10 @@ class _Sweep:
             self._drawing.terminate()
             self._drawing.wait()
 
-    def _finish(self, finished: FinishedRun, evaluator: Evaluator) -> None:
-        """Tests a trained run and writes it."""
+    def _finish(self, finished: FinishedRun, tests: list[Row]) -> None:
+        """Writes a trained and tested run."""
         run = finished.run
         spec = run.spec
-        modes: tuple[Mode, ...] = ("autonomous", "assisted")
-        if spec.method is Method.SRL:
-            modes = ("autonomous",)  # without an arbiter nobody can be asked
-        tests = evaluate_run(evaluator, finished, modes)
         info = {
             "config": self._config,
             "wall_seconds": time.monotonic() - run.started,
@@ -211,17 +172,17 @@ class _Sweep:
         arrays = checkpoint.flatten(finished.train, finished.boundary)
         self._folder.save_run(
             key,
-            _columns(run.episodes, EPISODE_COLUMNS),
-            _columns(tests, TEST_COLUMNS),
+            to_columns(run.episodes, EPISODE_COLUMNS),
+            to_columns(tests, TEST_COLUMNS),
             arrays,
             info,
         )
         self._folder.remove_partial(key)
         self._progress.finish(run)
-        alone = np.mean([row["return"] for row in tests if row["mode"] == "autonomous"])
+        alone = [row["return"] for row in tests if row["mode"] == "autonomous"]
         self._progress.say(
             f"finished {spec.method} seed {spec.seed}: {run.env_steps:,} steps, "
-            f"test return {alone:.1f} over {evaluator.num_episodes} episodes"
+            f"test return {np.mean(alone):.1f} over {len(alone)} episodes"
         )
 
     def _draw_now_and_then(self) -> None:
@@ -238,38 +199,18 @@ class _Sweep:
         self._draw_at = time.monotonic() + FIGURES_SECONDS
 
 
-def _make_agent(options: SweepOptions) -> Agent:
-    """The team that the options describe."""
-    config = options.agent
-    source = None
-    if options.human_policy is not None:
-        actor = checkpoint.load_actor(
-            options.human_policy, config.observation_size, config.action_size
-        )
-        *hidden, size = checkpoint.hidden_sizes(actor)
-        source = human_actions.policy(Actor(tuple(hidden), size).apply, actor)
-    return make_agent(config, source=source)
-
-
 def _config(options: SweepOptions) -> dict[str, Any]:
     """All that defines a run's numbers besides its method and seed."""
-    policy = options.human_policy
-    if policy is not None:  # What the file holds counts, not where it lies.
-        policy = "sha256:" + hashlib.sha256(pathlib.Path(policy).read_bytes()).hexdigest()
     return {
         "backend": options.backend,
         "episodes": options.scale().episodes,
         "test_episodes": options.scale().test_episodes,
         "alarm_window": ALARM_WINDOW,
-        "human_policy": policy,
+        "human_policy": policy_digest(options.human_policy),
         "agent": dataclasses.asdict(options.agent),
         "loop": dataclasses.asdict(options.loop),
         "hyper": dataclasses.asdict(options.hyper),
     }
-
-
-def _columns(rows: list[dict[str, Any]], names: tuple[str, ...]) -> dict[str, list[Any]]:
-    return {name: [row[name] for row in rows] for name in names}
 
 
 def _draw(folder: ResultsFolder) -> list[Any]:

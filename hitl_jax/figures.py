@@ -10,6 +10,7 @@ is over those that reach it, and the curve ends where fewer than half do.
 import io
 import pathlib
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -64,6 +65,11 @@ class _Data(NamedTuple):
     boundary_label: str
 
 
+def paper_style() -> AbstractContextManager[None]:
+    """Fonts, grid and frames of all figures, within a `with`."""
+    return matplotlib.rc_context(_STYLE)
+
+
 def draw_all(
     folder: ResultsFolder, rng: np.random.Generator
 ) -> tuple[list[pathlib.Path], list[str]]:
@@ -89,13 +95,13 @@ def draw_all(
     }
     paths: list[pathlib.Path] = []
     notes: list[str] = []
-    with matplotlib.rc_context(_STYLE):
+    with paper_style():
         for name, draw in drawings.items():
             figure = draw(data, rng)
             if figure is None:
                 notes.append(f"{name}: no data for it yet")
                 continue
-            paths += _save(figure, folder.path / "figures" / name)
+            paths += save(figure, folder.path / "figures" / name)
     return paths, notes
 
 
@@ -157,7 +163,7 @@ def _draw_tests(data: _Data, rng: np.random.Generator) -> Figure | None:
         assisted = [returns for returns in assisted if len(returns)]
         curve = over_seeds(np.arange(1, 1 + max(map(len, autonomous))), autonomous, stats.mean, rng)
         label = _label(m.name, len(autonomous), "no interval")
-        lines += left.plot(curve.x, curve.centre, label=label, linewidth=1.0, **_line(m.name))
+        lines += left.plot(curve.x, curve.centre, label=label, linewidth=1.0, **line_style(m.name))
         shift = 0.17 if assisted else 0.0
         _draw_seeds(right, place - shift, autonomous, m.name, _COLOURS[m.name], rng)
         if assisted:
@@ -219,7 +225,7 @@ def _draw_human(data: _Data, rng: np.random.Generator) -> Figure | None:
         total = [np.cumsum(values) for values in interventions]
         burden = over_episodes(total, 1, rng)
         returns = over_episodes(_column(m, "return"), data.window, rng)
-        right.plot(burden.centre, returns.centre, linewidth=1.6, **_line(m.name))
+        right.plot(burden.centre, returns.centre, linewidth=1.6, **line_style(m.name))
         ends = [stats.trailing_mean(values, data.window)[-1] for values in _column(m, "return")]
         dots: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 3, "alpha": 0.6}
         right.plot([values[-1] for values in total], ends, color=_COLOURS[m.name], **dots)
@@ -235,7 +241,7 @@ def _draw_human(data: _Data, rng: np.random.Generator) -> Figure | None:
 
 def _draw_curve(axes: Axes, method: _Method, curve: Curve) -> Line2D:
     label = _label(method.name, curve.seeds, "no band", method.unfinished)
-    [line] = axes.plot(curve.x, curve.centre, label=label, linewidth=1.6, **_line(method.name))
+    [line] = axes.plot(curve.x, curve.centre, label=label, linewidth=1.6, **line_style(method.name))
     if curve.seeds > 1:
         colour = _COLOURS[method.name]
         axes.fill_between(curve.x, curve.low, curve.high, color=colour, alpha=0.18, linewidth=0)
@@ -285,7 +291,8 @@ def _label(name: str, seeds: int, without: str, unfinished: int = 0) -> str:
     return label + f", {unfinished} unfinished)" if unfinished else label + ")"
 
 
-def _line(name: str) -> dict[str, Any]:
+def line_style(name: str) -> dict[str, Any]:
+    """Colour and dashes of a method, as matplotlib's arguments."""
     return {"color": _COLOURS[name], "linestyle": (0.0, _DASHES[name])}
 
 
@@ -311,7 +318,16 @@ def _legend(figure: Figure, lines: list[Line2D]) -> None:
     figure.legend(handles=lines, title=title, loc="outside lower center")
 
 
-def _save(figure: Figure, stem: pathlib.Path) -> list[pathlib.Path]:
+def save(figure: Figure, stem: pathlib.Path) -> list[pathlib.Path]:
+    """Writes a figure as PNG and SVG; the files written.
+
+    Args:
+        figure: drawn under `paper_style`.
+        stem: the files' path without its ending.
+
+    Raises:
+        ResultsError: if a file cannot be written.
+    """
     paths = []
     # Without a date in it, the same data give the same file.
     for kind, metadata in (("png", None), ("svg", {"Date": None})):

@@ -90,7 +90,7 @@ def summarise(folder: ResultsFolder) -> tuple[Row, ...]:
     Raises:
         ResultsError: if a run is damaged.
     """
-    return tuple(_summarise_run(run) for run in folder.load_all())
+    return tuple(summarise_run(run) for run in folder.load_all())
 
 
 def write_summary(folder: ResultsFolder, rng: np.random.Generator) -> list[pathlib.Path]:
@@ -118,7 +118,8 @@ def write_summary(folder: ResultsFolder, rng: np.random.Generator) -> list[pathl
     return [table, report]
 
 
-def _summarise_run(run: Run) -> Row:
+def summarise_run(run: Run) -> Row:
+    """The measures of one run, keys `SUMMARY_COLUMNS`."""
     episodes, tests = run.episodes, run.tests
     trailing = stats.trailing_mean(episodes["return"], WINDOW)
     autonomous, assisted = select(tests, "mode", "autonomous"), select(tests, "mode", "assisted")

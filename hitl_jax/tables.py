@@ -6,6 +6,8 @@ an episode. Text columns hold str, counts int64, and the rest float64, NaN where
 
 import csv
 import io
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -61,7 +63,7 @@ _FLOATS = ("return", "shaped_return", "mean_boundary", "final_boundary", "lead_s
 _MAY_BE_NAN = ("mean_boundary", "final_boundary", "lead_steps")
 
 
-def to_table(columns: dict[str, object], names: tuple[str, ...]) -> Table:
+def to_table(columns: Mapping[str, object], names: tuple[str, ...]) -> Table:
     """Checks columns and brings them to the types and the order of a table.
 
     Args:
@@ -83,6 +85,11 @@ def to_table(columns: dict[str, object], names: tuple[str, ...]) -> Table:
     if len(set(lengths.values())) > 1:
         raise ValueError(f"columns differ in length: {lengths}")
     return table
+
+
+def to_columns(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> dict[str, list[Any]]:
+    """Rows as columns of these names; what else a row holds is left out."""
+    return {name: [row[name] for row in rows] for name in names}
 
 
 def table_to_csv(table: Table) -> str:

@@ -1,0 +1,203 @@
+"""One part of the team taken apart: `python -m experiments.ablation NAME`.
+
+Settings and seeds are trained side by side, tested, and compared in a table and a figure. What is
+done is kept, and not done again when the command is given again or when another ablation has the
+same setting.
+"""
+
+import contextlib
+import dataclasses
+import itertools
+import pathlib
+import sys
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import tyro
+
+from experiments.ablations import figure
+from experiments.ablations.settings import ABLATIONS, Ablation, Setting
+from experiments.ablations.store import Row, RunId, Store, digest
+from experiments.ablations.table import Line, to_markdown
+from experiments.changes import Parts, changed
+from experiments.cli import BadInput, checking_input, run_main
+from experiments.compile_cache import keep_programs
+from experiments.progress import Progress
+from experiments.training import Plant, make_team, train_and_test
+from hitl_jax.config import Method, hyper_for, require
+from hitl_jax.files import ResultsError, write_text_atomic
+from hitl_jax.provenance import git_commit
+from hitl_jax.results import Run, RunKey
+from hitl_jax.rollout import FinishedRun, Rollout, RunSpec, num_slots
+from hitl_jax.summary import summarise_run
+from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS, to_columns, to_table
+
+_STATISTICS_SEED = 0
+"""Seed of the bootstrap: the same data give the same intervals."""
+
+_SLOTS = 32
+_BACKEND = "lean"
+
+
+@dataclasses.dataclass(frozen=True)
+class AblationOptions:
+    """Compare settings of one part of the team, each over several seeds.
+
+    Attributes:
+        name: one of methods, intervention, feedback, source, delta, initial-boundary, indicator,
+            human-delay, human-mistakes, human-attention; or `all`, one after the other.
+        seeds: number of seeds for each setting.
+        first_seed: the first of them.
+        episodes: training episodes of a run.
+        test_episodes: test episodes of a run, alone and again with the human.
+        out: folder of the results: `runs.csv`, and a table and a figure for each ablation. An
+            interrupted ablation goes on in the same folder with the runs that are not finished.
+    """
+
+    name: tyro.conf.Positional[str]
+    seeds: int = 5
+    first_seed: int = 0
+    episodes: int = 300
+    test_episodes: int = 20
+    out: str = "runs/ablations"
+
+    @property
+    def budget(self) -> dict[str, int]:
+        """What must be equal for two runs to be compared."""
+        return {"episodes": self.episodes, "test_episodes": self.test_episodes}
+
+
+def main(options: AblationOptions) -> int:
+    """Runs what is not done yet, then prints the tables.
+
+    Args:
+        options: what to run.
+
+    Returns:
+        The exit code: 0, or 130 after Ctrl-C.
+    """
+    out = pathlib.Path(options.out)
+    with checking_input():
+        names = _names(options)
+        try:
+            store = Store(out / "runs.csv")
+            store.write()  # A folder that cannot be written is noticed now.
+        except ResultsError as error:
+            raise BadInput(f"--out {error}") from error
+    keep_programs()
+    code = 0
+    try:
+        _run(names, options, store)
+    except KeyboardInterrupt:
+        print(f"\nStopped; what is done is in {store.path}. The same command goes on.", flush=True)
+        code = 130
+    for name in names:
+        if text := _write(name, options, store):
+            print(text)
+    return code
+
+
+def _names(options: AblationOptions) -> list[str]:
+    """The ablations that are asked for; ValueError with one line for options that cannot be run."""
+    if options.name != "all" and options.name not in ABLATIONS:
+        raise ValueError(f"NAME {options.name}: must be one of {', '.join(ABLATIONS)}, all")
+    for name in ("seeds", "episodes", "test_episodes"):
+        require(name, getattr(options, name), at_least=1)
+    require("first_seed", options.first_seed, at_least=0)
+    return list(ABLATIONS) if options.name == "all" else [options.name]
+
+
+def _run(names: list[str], options: AblationOptions, store: Store) -> None:
+    """Trains and tests the runs that the store lacks; those of one compiled program together."""
+    missing: dict[RunId, Parts] = {}
+    for name in names:
+        for setting, parts in _parts(ABLATIONS[name]):
+            ids = _ids(setting, parts, options)
+            missing |= {run: parts for run in ids if run not in store}
+    if not missing:
+        return
+
+    def program(run: RunId) -> str:
+        parts = missing[run]
+        return repr((parts.agent, parts.loop, parts.human_policy))
+
+    methods = [m for m in Method if any(run.method == m for run in missing)]
+    with Progress(methods, len(missing), options.episodes, 0) as progress:
+        for _, group in itertools.groupby(sorted(missing, key=program), key=program):
+            _run_group({run: missing[run] for run in group}, options, store, progress)
+
+
+def _run_group(
+    group: dict[RunId, Parts], options: AblationOptions, store: Store, progress: Progress
+) -> None:
+    """Trains and tests runs of one compiled program, seed after seed: early tables are fair."""
+    specs: dict[int, tuple[RunSpec, RunId]] = {}
+    for run, parts in sorted(group.items(), key=lambda item: item[0].seed):
+        method = Method(run.method)
+        spec = RunSpec(method, run.seed, hyper_for(method, parts.hyper), options.episodes)
+        specs[id(spec)] = spec, run
+
+    def watch(rollout: Rollout) -> None:
+        progress.show(rollout.runs())
+
+    agent = make_team(parts.agent, parts.human_policy)
+    plant = Plant(_BACKEND, num_slots(len(specs), _SLOTS), None, options.test_episodes)
+    commit = git_commit() or "unknown"
+    queue = [spec for spec, _ in specs.values()]
+    with contextlib.closing(train_and_test(agent, queue, parts.loop, plant, watch)) as tested:
+        for finished, tests in tested:
+            _, run = specs[id(finished.run.spec)]
+            row = _summary(finished, tests)
+            store.add(run, row | {"commit": commit[:7]})
+            progress.finish(finished.run)
+            alone = row["test_return_mean"]
+            setting = run.setting or "defaults"
+            progress.say(f"finished {setting}, {run.method} seed {run.seed}: test {alone:.1f}")
+
+
+def _parts(ablation: Ablation) -> Iterator[tuple[Setting, Parts]]:
+    for setting in ablation.settings:
+        yield setting, changed(setting.changes)
+
+
+def _ids(setting: Setting, parts: Parts, options: AblationOptions) -> list[RunId]:
+    mark = digest(parts, options.budget)
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    return [RunId(setting.name, m, seed, mark) for m in setting.methods for seed in seeds]
+
+
+def _summary(finished: FinishedRun, tests: list[Row]) -> Row:
+    run = finished.run
+    episodes = to_table(to_columns(run.episodes, EPISODE_COLUMNS), EPISODE_COLUMNS)
+    tested = to_table(to_columns(tests, TEST_COLUMNS), TEST_COLUMNS)
+    info = {"wall_seconds": time.monotonic() - run.started}
+    row = summarise_run(Run(RunKey(run.spec.method, run.spec.seed), info, episodes, tested))
+    return {name: value for name, value in row.items() if name not in ("method", "seed")}
+
+
+def _write(name: str, options: AblationOptions, store: Store) -> str:
+    """Writes table and figure of what is done of an ablation; the table, empty without a run."""
+    lines = []
+    for setting, parts in _parts(ABLATIONS[name]):
+        done = [run for run in _ids(setting, parts, options) if run in store]
+        for method in setting.methods:
+            if runs := [store[run] for run in done if run.method == method]:
+                lines.append(Line(setting.label, method, runs))
+    if not lines:
+        return ""
+    last = options.first_seed + options.seeds - 1
+    budget = (
+        f"Seeds {options.first_seed} to {last}, {options.episodes} training episodes, "
+        f"{options.test_episodes} test episodes each way."
+    )
+    rng = np.random.default_rng(_STATISTICS_SEED)
+    title = ABLATIONS[name].title
+    text = to_markdown(title, budget, lines, rng)
+    write_text_atomic(store.path.parent / f"{name}.md", text)
+    figure.save(title, lines, store.path.parent / name, rng)
+    return text
+
+
+if __name__ == "__main__":
+    sys.exit(run_main(AblationOptions, main))

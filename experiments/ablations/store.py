@@ -1,0 +1,99 @@
+"""What ablations have measured: one CSV, a line a run, whole whenever the process is killed."""
+
+import csv
+import dataclasses
+import hashlib
+import io
+import json
+import pathlib
+from typing import Any
+
+from experiments.changes import Parts
+from experiments.training import policy_digest
+from hitl_jax.files import ResultsError, named_errors, write_text_atomic
+from hitl_jax.summary import SUMMARY_COLUMNS
+
+Row = dict[str, Any]
+"""One run; measures are float, or None where there is no value."""
+
+_MEASURES = tuple(name for name in SUMMARY_COLUMNS if name not in ("method", "seed"))
+_COLUMNS = ("setting", "method", "seed", "digest", "commit", *_MEASURES)
+
+
+@dataclasses.dataclass(frozen=True)
+class RunId:
+    """Which run a line is of.
+
+    Attributes:
+        setting: `Setting.name`.
+        method: which method.
+        seed: which seed.
+        digest: of all that defines the numbers, the defaults and the budget included.
+    """
+
+    setting: str
+    method: str
+    seed: int
+    digest: str
+
+
+def digest(parts: Parts, budget: dict[str, int]) -> str:
+    """Twelve digits that differ when options or budget do."""
+    options = [dataclasses.asdict(part) for part in (parts.agent, parts.loop, parts.hyper)]
+    asked = [*options, policy_digest(parts.human_policy), budget]
+    return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:12]
+
+
+class Store:
+    """The runs of a file. Lines of other defaults or budgets stay in it, and are not looked at.
+
+    Args:
+        path: the file, there or not.
+    """
+
+    def __init__(self, path: pathlib.Path):
+        self.path = path
+        self._rows: dict[RunId, Row] = {}
+        if path.exists():
+            with named_errors(path):
+                self._rows = dict(map(_parse, _lines(path)))
+
+    def __contains__(self, run: RunId) -> bool:
+        return run in self._rows
+
+    def __getitem__(self, run: RunId) -> Row:
+        return self._rows[run]
+
+    def add(self, run: RunId, row: Row) -> None:
+        """Adds a run, and writes the file.
+
+        Raises:
+            ResultsError: if it cannot be written.
+        """
+        self._rows[run] = row
+        self.write()
+
+    def write(self) -> None:
+        """Writes the file."""
+        text = io.StringIO()
+        writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        ids = sorted(self._rows, key=dataclasses.astuple)
+        writer.writerows(dataclasses.asdict(run) | self._rows[run] for run in ids)
+        write_text_atomic(self.path, text.getvalue())
+
+
+def _lines(path: pathlib.Path) -> list[dict[str, str]]:
+    with open(path, newline="") as file:
+        reader = csv.DictReader(file)
+        if tuple(reader.fieldnames or ()) != _COLUMNS:
+            raise ResultsError(f"{path}: is not a file of this command's runs")
+        return list(reader)
+
+
+def _parse(line: dict[str, str]) -> tuple[RunId, Row]:
+    if None in line.values():
+        raise ValueError("a line is cut short")
+    run = RunId(line["setting"], line["method"], int(line["seed"]), line["digest"])
+    measures = {name: float(line[name]) if line[name] else None for name in _MEASURES}
+    return run, {"commit": line["commit"], **measures}

@@ -1,0 +1,127 @@
+"""Trains runs and tests each at its end: what a sweep and an ablation have in common."""
+
+import contextlib
+import hashlib
+import pathlib
+import signal
+from collections.abc import Callable, Generator, Iterator, Sequence
+from typing import NamedTuple
+
+from hitl_jax import checkpoint, human_actions
+from hitl_jax.agent import Agent, make_agent
+from hitl_jax.config import AgentConfig, Method
+from hitl_jax.envs import WalkerPool, make_pool
+from hitl_jax.episodes import Row
+from hitl_jax.evaluation import Evaluator, Mode, evaluate_run
+from hitl_jax.networks import Actor
+from hitl_jax.rollout import FinishedRun, LoopConfig, Rollout, RunSpec, episode_seed
+
+
+class Plant(NamedTuple):
+    """What plays: walkers, by backend.
+
+    Attributes:
+        backend: one of `hitl_jax.envs.BACKENDS`.
+        slots: runs at a time.
+        workers: processes that step walkers; None is one a core.
+        test_episodes: of one test.
+    """
+
+    backend: str
+    slots: int
+    workers: int | None
+    test_episodes: int
+
+
+def make_team(config: AgentConfig, human_policy: str | None) -> Agent:
+    """The team that the options describe.
+
+    Args:
+        config: static choices.
+        human_policy: a `params.npz` whose actor gives the human's actions, or None for the
+            scripted walker.
+
+    Raises:
+        ValueError: one line, if the file is no checkpoint of such a walker.
+    """
+    source = None
+    if human_policy is not None:
+        actor = checkpoint.load_actor(human_policy, config.observation_size, config.action_size)
+        *hidden, size = checkpoint.hidden_sizes(actor)
+        source = human_actions.policy(Actor(tuple(hidden), size).apply, actor)
+    return make_agent(config, source=source)
+
+
+def policy_digest(human_policy: str | None) -> str | None:
+    """What the file holds, for a record of what defines the numbers: not where it lies."""
+    if human_policy is None:
+        return None
+    return "sha256:" + hashlib.sha256(pathlib.Path(human_policy).read_bytes()).hexdigest()
+
+
+def train_and_test(
+    agent: Agent,
+    specs: Sequence[RunSpec],
+    loop: LoopConfig,
+    plant: Plant,
+    watch: Callable[[Rollout], None],
+) -> Generator[tuple[FinishedRun, list[Row]]]:
+    """Gives each run as it ends, with its test episodes.
+
+    Args:
+        agent: the team.
+        specs: the runs.
+        loop: how much they play and learn.
+        plant: the walkers.
+        watch: called after each chunk.
+
+    Raises:
+        KeyboardInterrupt: after Ctrl-C, when the chunk, or the test, under way has ended; after a
+            second one at once.
+    """
+
+    def pool_of(phase: str, walkers: int) -> WalkerPool:
+        # For EnvPool, whose walkers cannot be seeded one by one: other runs, other seed.
+        runs = (f"{spec.method}-{spec.seed}" for spec in specs)
+        seed = episode_seed(phase, *runs) >> 1
+        return make_pool(plant.backend, walkers, plant.workers, seed=seed)
+
+    with (
+        pool_of("train", plant.slots) as pool,
+        pool_of("test", plant.test_episodes) as test_pool,
+        _deferred_interrupt() as interrupted,
+    ):
+        evaluator = Evaluator(agent, test_pool)
+        rollout = Rollout(agent, specs, pool, loop)
+        for done in rollout:
+            for finished in done:
+                yield finished, evaluate_run(evaluator, finished, _modes(finished.run.spec.method))
+            if interrupted():
+                raise KeyboardInterrupt
+            watch(rollout)
+
+
+def _modes(method: Method) -> tuple[Mode, ...]:
+    if method is Method.SRL:
+        return ("autonomous",)  # without an arbiter nobody can be asked
+    return ("autonomous", "assisted")
+
+
+@contextlib.contextmanager
+def _deferred_interrupt() -> Iterator[Callable[[], bool]]:
+    """Ctrl-C is noted, a second one stops at once.
+
+    Raised at any instant, KeyboardInterrupt could land where Python drops it.
+    """
+    noted = False
+
+    def note(*_: object) -> None:
+        nonlocal noted
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        noted = True
+
+    previous = signal.signal(signal.SIGINT, note)
+    try:
+        yield lambda: noted
+    finally:
+        signal.signal(signal.SIGINT, previous)
