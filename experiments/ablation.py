@@ -7,7 +7,6 @@ same setting.
 
 import contextlib
 import dataclasses
-import itertools
 import pathlib
 import sys
 import time
@@ -118,36 +117,37 @@ def _run(names: list[str], options: AblationOptions, store: Store) -> None:
     if not missing:
         return
 
-    def program(run: RunId) -> str:
-        parts = missing[run]
-        return repr((parts.agent, parts.loop, parts.human_policy))
-
+    programs: dict[str, dict[RunId, Parts]] = {}
+    for run, parts in missing.items():
+        program = repr((parts.agent, parts.loop, parts.human_policy))
+        programs.setdefault(program, {})[run] = parts
     methods = [m for m in Method if any(run.method == m for run in missing)]
     with Progress(methods, len(missing), options.episodes, 0) as progress:
-        for _, group in itertools.groupby(sorted(missing, key=program), key=program):
-            _run_group({run: missing[run] for run in group}, options, store, progress)
+        for group in sorted(programs.values(), key=len, reverse=True):
+            _run_group(group, options, store, progress)
 
 
 def _run_group(
     group: dict[RunId, Parts], options: AblationOptions, store: Store, progress: Progress
 ) -> None:
     """Trains and tests runs of one compiled program, seed after seed: early tables are fair."""
-    specs: dict[int, tuple[RunSpec, RunId]] = {}
+    runs: dict[RunSpec, RunId] = {}
     for run, parts in sorted(group.items(), key=lambda item: item[0].seed):
-        method = Method(run.method)
-        spec = RunSpec(method, run.seed, hyper_for(method, parts.hyper), options.episodes)
-        specs[id(spec)] = spec, run
+        hyper = hyper_for(Method(run.method), parts.hyper)
+        runs[RunSpec(Method(run.method), run.seed, hyper, options.episodes)] = run
 
     def watch(rollout: Rollout) -> None:
         progress.show(rollout.runs())
 
-    agent = make_team(parts.agent, parts.human_policy)
-    plant = Plant(_BACKEND, num_slots(len(specs), _SLOTS), None, options.test_episodes)
+    program = next(iter(group.values()))
+    agent = make_team(program.agent, program.human_policy)
+    plant = Plant(_BACKEND, num_slots(len(runs), _SLOTS), None, options.test_episodes)
     commit = git_commit() or "unknown"
-    queue = [spec for spec, _ in specs.values()]
-    with contextlib.closing(train_and_test(agent, queue, parts.loop, plant, watch)) as tested:
+    with contextlib.closing(
+        train_and_test(agent, list(runs), program.loop, plant, watch)
+    ) as tested:
         for finished, tests in tested:
-            _, run = specs[id(finished.run.spec)]
+            run = runs[finished.run.spec]
             row = _summary(finished, tests)
             store.add(run, row | {"commit": commit[:7]})
             progress.finish(finished.run)

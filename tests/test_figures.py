@@ -79,7 +79,7 @@ def drawn(monkeypatch) -> dict[str, Any]:
         kept[stem.name] = figure
         return [stem]
 
-    monkeypatch.setattr(figures, "_save", keep)
+    monkeypatch.setattr(figures, "save", keep)
     return kept
 
 
