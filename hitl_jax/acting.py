@@ -22,7 +22,7 @@ class ActingState:
         steps: environment steps taken, int32 [].
         episodes: episodes begun, int32 [].
         noise: the action noise in units of its standard deviation, [A].
-        boundary: the boundary source's carry, [].
+        boundary: the boundary source's carry, [] or [K].
         human: the human's state.
         source: the state of the human's actions.
         arbiter: the arbiter's state.
@@ -131,21 +131,35 @@ def act(
     human_state, dangerous = agent.human.judge(
         state.human, hyper.human, observation, jnp.zeros((), bool), human_key
     )
-    alarmed = boundary.alarm(agent.indicator(observation), boundary_now)
-    alarmed = jnp.logical_and(alarmed, hyper.has_arbiter > 0)
+    indicator = agent.indicator(observation)
+    alarmed = boundary.alarm(indicator, boundary_now) & (hyper.has_arbiter > 0)
     after = boundary.next_boundary(
         boundary_now, alarmed, dangerous, hyper.delta_minus, hyper.delta_plus
     )
     after = jnp.clip(after, hyper.boundary_low, hyper.boundary_high)
     learns = hyper.learns_boundary > 0
     after = jnp.where(learns, after, boundary_now)
-    source = boundary.get_source(agent.config.boundary_source)
-    carry = jnp.where(learns, source.advance(state.boundary, boundary_now, after), state.boundary)
 
     objects = jnp.logical_and(dangerous, hyper.human_present > 0)
+    keeps = objects
+    if agent.config.release == "hysteresis":
+        keeps = boundary.alarm(indicator, hyper.release_share * boundary_now)
     arbiter_state, ruling = arbiter.rule(
-        state.arbiter, agent.config.intervention, alarmed, objects, hyper.takeover_steps
+        state.arbiter, agent.config.intervention, alarmed, objects, keeps, hyper.takeover_steps
     )
+    move = boundary.Move(
+        boundary=boundary_now,
+        following=after,
+        alarmed=alarmed,
+        control=ruling.control,
+        step=hyper.delta_plus,
+        target_rate=hyper.target_rate,
+        low=hyper.boundary_low,
+        high=hyper.boundary_high,
+    )
+    source = boundary.get_source(agent.config.boundary_source)
+    carry = jnp.where(learns, source.advance(state.boundary, move), state.boundary)
+
     hands = human_actions.with_noise(agent.source, hyper.human_action_noise)
     source_state, human_action = hands.act(state.source, observation, source_key)
 

@@ -45,12 +45,14 @@ def rule(
     intervention: str,
     alarmed: chex.Array,
     dangerous: chex.Array,
+    keeps: chex.Array,
     takeover_steps: chex.Array,
 ) -> tuple[ArbiterState, Ruling]:
     """u_t = 1 where the alarm is raised and the human agrees (line 8), and what follows from it.
 
     `reset`: the human ends the episode after this step ("dangerous and needs to be reset", section
-    IV). `takeover`: the human's action is executed until the human judges the state safe again, at
+    IV). `takeover`: the human's action is executed as long as `keeps` holds, which is until the
+    human judges the state safe again or, with hysteresis, until c_t is well within the boundary, at
     least `takeover_steps` steps; u_t stays 1. `penalty`: only the reward changes.
 
     Args:
@@ -58,6 +60,7 @@ def rule(
         intervention: `reset`, `takeover` or `penalty`.
         alarmed: C, bool [].
         dangerous: h_t = 0, bool [].
+        keeps: whether a takeover goes on, bool [].
         takeover_steps: least length of a takeover in steps, int32 [].
 
     Returns:
@@ -75,8 +78,8 @@ def rule(
         state = ArbiterState(hold=state.hold, in_control=agreed)
         return state, Ruling(control=agreed, began=began, human_action=never, human_reset=never)
     if intervention == "takeover":
-        keeps = jnp.logical_and(state.in_control, jnp.logical_or(state.hold > 0, dangerous))
-        control = jnp.logical_or(agreed, keeps)
+        goes_on = jnp.logical_and(state.in_control, jnp.logical_or(state.hold > 0, keeps))
+        control = jnp.logical_or(agreed, goes_on)
         began = jnp.logical_and(control, jnp.logical_not(state.in_control))
         hold = jnp.where(began, takeover_steps, state.hold) - 1
         state = ArbiterState(hold=jnp.maximum(hold, 0), in_control=control)

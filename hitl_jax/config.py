@@ -16,8 +16,9 @@ from hitl_jax.human import DANGER_MODELS, HumanParams, validate_human_params
 from hitl_jax.indicator import INDICATORS
 
 LEARNERS = ("ddpg", "td3")
-BOUNDARY_SOURCES = ("network", "residual", "rule")
+BOUNDARY_SOURCES = ("network", "residual", "rule", "quantile", "pid")
 INTERVENTIONS = ("reset", "takeover", "penalty")
+RELEASES = ("judgement", "hysteresis")
 FEEDBACK_SCHEDULES = ("step", "episode")
 
 
@@ -41,12 +42,16 @@ class AgentConfig:
         n_step: steps of reward before the bootstrap.
         boundary_source: how line 6 and line 8 of Algorithm 1 meet: `network`, `residual`, `rule`.
             With `residual` the actor is improved at its own output, as line 12 has it, not at the
-            executed sum.
+            executed sum. To compare with: `quantile` holds the share of alarms at a target, `pid`
+            the share of steps under human control.
         boundary_hidden_sizes: widths of the boundary networks' hidden layers.
         boundary_batch_size: samples in a minibatch of the boundary learner.
         indicator: name of the safety indicator c_t.
         danger: the simulated human's test of danger: `threshold` or `predictive`.
         intervention: what a human intervention does: `reset`, `takeover`, `penalty`.
+        release: what ends a takeover: the human's `judgement` that the state is safe, or
+            `hysteresis`, |c_t| below a share of the boundary (as LazyDAgger,
+            https://arxiv.org/abs/2104.00053).
         feedback_schedule: r(s, a^h) at each intervened `step`, or once an `episode`, at its end.
         human_reset_terminates: whether a human reset ends the bootstrap.
         observation_size: length of an observation.
@@ -64,6 +69,7 @@ class AgentConfig:
     indicator: str = "hull_angle"
     danger: str = "threshold"
     intervention: str = "reset"
+    release: str = "judgement"
     feedback_schedule: str = "step"
     human_reset_terminates: bool = True
     observation_size: int = 24
@@ -76,6 +82,7 @@ class AgentConfig:
         _one_of("indicator", self.indicator, tuple(INDICATORS))
         _one_of("danger", self.danger, tuple(DANGER_MODELS))
         _one_of("intervention", self.intervention, INTERVENTIONS)
+        _one_of("release", self.release, RELEASES)
         _one_of("feedback-schedule", self.feedback_schedule, FEEDBACK_SCHEDULES)
         for name in (
             "batch_size",
@@ -125,7 +132,8 @@ class Hyper:
         warmup_steps: environment steps of uniformly random actions before learning.
         initial_boundary: τ_0 [rad].
         delta_minus: Δ⁻, what a true alarm takes from the boundary [rad].
-        delta_plus: Δ⁺, what a false alarm adds to it [rad].
+        delta_plus: Δ⁺, what a false alarm adds to it [rad]; the gain of `quantile` and `pid`.
+        target_rate: what `quantile` and `pid` aim at, a share of the steps [1].
         boundary_low: least boundary [rad].
         boundary_high: greatest boundary [rad].
         boundary_noise: standard deviation of the exploration of π_θ [rad].
@@ -135,6 +143,7 @@ class Hyper:
         feedback: r(s, a^h), negative for a punishment. Given at every step of an intervention
             unless the schedule says otherwise: a takeover of ten steps pays it ten times.
         takeover_steps: least number of steps that a takeover lasts.
+        release_share: with hysteresis, the share of the boundary below which a takeover ends [1].
         human_action_noise: standard deviation of the noise on a^h.
         human: the simulated human's parameters.
     """
@@ -152,6 +161,7 @@ class Hyper:
     initial_boundary: float = 0.7
     delta_minus: float = 1e-3
     delta_plus: float = 1e-3
+    target_rate: float = 1e-3
     boundary_low: float = 0.05
     boundary_high: float = 1.5
     boundary_noise: float = 0.02
@@ -160,6 +170,7 @@ class Hyper:
     alarm_reward: float = 1.0
     feedback: float = -20.0
     takeover_steps: int = 10
+    release_share: float = 0.5
     human_action_noise: float = 0.0
     human: HumanParams = struct.field(default_factory=HumanParams)
 
@@ -228,7 +239,7 @@ def validate_hyper(hyper: Hyper) -> None:
         "human_action_noise",
     ):
         require(name, getattr(hyper, name), at_least=0)
-    for name in ("gamma", "target_step_size"):
+    for name in ("gamma", "target_step_size", "target_rate", "release_share"):
         require(name, getattr(hyper, name), at_least=0.0, at_most=1.0)
     require("noise_correlation", hyper.noise_correlation, at_least=0.0, at_most=0.999)
     require("takeover_steps", hyper.takeover_steps, at_least=1)

@@ -5,16 +5,17 @@ import pytest
 from hitl_jax import arbiter
 
 
-def _play(intervention, alarms, dangers, takeover_steps=3):
+def _play(intervention, alarms, dangers, keeps=None, takeover_steps=3):
     """u_t, began, human_action and human_reset over a sequence."""
     state = arbiter.init()
     rulings = []
-    for alarmed, dangerous in zip(alarms, dangers, strict=True):
+    for alarmed, dangerous, keep in zip(alarms, dangers, keeps or dangers, strict=True):
         state, ruling = arbiter.rule(
             state,
             intervention,
             jnp.array(alarmed, bool),
             jnp.array(dangerous, bool),
+            jnp.array(keep, bool),
             takeover_steps,
         )
         rulings.append(ruling)
@@ -34,6 +35,13 @@ def test_takeover_lasts_until_safe_and_at_least_its_minimum():
     assert played["control"] == played["human_action"] == [1, 1, 1, 1, 0, 0]
     assert played["began"] == [1, 0, 0, 0, 0, 0]
     assert played["human_reset"] == [0] * 6
+
+
+def test_takeover_can_outlast_the_danger():
+    played = _play("takeover", [1, 0, 0, 0, 0], [1, 0, 0, 0, 0], keeps=[0, 0, 0, 1, 0])
+    assert played["control"] == [1, 1, 1, 1, 0]
+    #            an alarm without danger begins nothing, whatever would keep it
+    assert _play("takeover", [1, 1], [0, 0], keeps=[1, 1])["control"] == [0, 0]
 
 
 def test_penalty_changes_nothing_but_the_reward():

@@ -68,7 +68,53 @@ def test_sources(name, first, tau, second):
     np.testing.assert_allclose(carry, first, rtol=1e-6)
     now = source.boundary(carry, jnp.array(0.3))
     np.testing.assert_allclose(now, tau, rtol=1e-6)
-    np.testing.assert_allclose(source.advance(carry, now, now - 0.1), second, atol=1e-6)
+    np.testing.assert_allclose(source.advance(carry, _move(now)), second, atol=1e-6)
+
+
+def _move(now, **changes):
+    """A true alarm, with an intervention, at τ_t."""
+    given = {"boundary": now, "following": now - 0.1, "alarmed": True, "control": True}
+    given |= {"step": 0.01, "target_rate": 0.1, "low": 0.05, "high": 1.5}
+    return boundary.Move(**{name: jnp.asarray(value) for name, value in (given | changes).items()})
+
+
+def _settle(source, tau, moved_by, keys):
+    """The share of alarms, |c| ≥ τ with c normal, over the last quarter of the steps."""
+    source = boundary.get_source(source)
+
+    def step(carry, key):
+        now = jnp.clip(source.boundary(carry, jnp.zeros(())), 0.05, 3.0)
+        alarmed = boundary.alarm(jax.random.normal(key), now)
+        move = _move(now, step=1e-3, target_rate=0.02, high=3.0, **{moved_by: alarmed})
+        return source.advance(carry, move), alarmed
+
+    _, alarms = jax.lax.scan(step, source.init(jnp.asarray(tau)), keys)
+    return float(alarms[-len(keys) // 4 :].mean())
+
+
+@pytest.mark.parametrize(("source", "moved_by"), [("quantile", "alarmed"), ("pid", "control")])
+@pytest.mark.parametrize("tau", [0.2, 2.5])
+def test_a_target_rate_is_reached(source, moved_by, tau):
+    keys = jax.random.split(jax.random.key(1), 200_000)
+    share = _settle(source, tau, moved_by, keys)
+    assert share == pytest.approx(0.02, rel=0.1)
+
+
+@pytest.mark.parametrize("source", ["rule", "quantile", "pid"])
+def test_a_boundary_without_steps_stays(source):
+    source = boundary.get_source(source)
+    carry = source.init(jnp.array(0.7))
+    now = source.boundary(carry, jnp.array(0.3))
+    after = source.advance(carry, _move(now, step=0.0, following=now))
+    np.testing.assert_allclose(source.boundary(after, jnp.array(0.3)), 0.7, rtol=1e-6)
+
+
+def test_the_integral_does_not_wind_up():
+    source = boundary.get_source("pid")
+    carry = source.init(jnp.array(0.7))
+    for _ in range(500):
+        carry = source.advance(carry, _move(0.7, step=0.1))
+    assert float(carry[1]) == pytest.approx(1.5 - 0.7)
 
 
 def test_unknown_source():

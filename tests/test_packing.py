@@ -48,7 +48,8 @@ def test_the_number_of_words_is_checked(change):
 
 def test_acting_and_hyperparameters_of_every_choice_can_be_packed():
     hyper = typed(RunHyper())
-    for choices in ({}, {"boundary_source": "network", "intervention": "takeover"}):
+    takeover = {"boundary_source": "network", "intervention": "takeover"}
+    for choices in ({}, takeover, {"boundary_source": "pid"}):
         state = init_acting(make_agent(AgentConfig(**choices)), hyper, make_key(3))
         for tree in (state, hyper):
             tree = jax.tree.map(jnp.asarray, tree)

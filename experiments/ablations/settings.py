@@ -50,6 +50,17 @@ _TAKEOVER: Changes = {"intervention": "takeover"}
 _NETWORK: Changes = {"boundary_source": "network"}
 _RESIDUAL: Changes = {"boundary_source": "residual"}
 
+_BUDGET = 0.0013
+"""Interventions per step of HITL-AC in its first 300 episodes (results/ten_seeds)."""
+
+_RANDOM: Changes = {
+    "boundary_low": 0.0,
+    "initial_boundary": 0.0,  # an alarm at every step
+    "tolerance": 1000.0,  # no state is dangerous
+    "mistake_rate": _BUDGET,
+}
+"""A human who intervenes at random."""
+
 ABLATIONS: dict[str, Ablation] = {
     "methods": Ablation(
         "The three methods",
@@ -137,6 +148,18 @@ ABLATIONS: dict[str, Ablation] = {
             Setting("misses 30 %", {"lapse_rate": 0.3}, _HUMAN),
             Setting("at most 100 interventions", {"max_interventions": 100}, _HUMAN),
             Setting("a rest of 500 steps", {"refractory_steps": 500}, _HUMAN),
+        ),
+    ),
+    "arbiter": Ablation(
+        "Other arbiters with HITL-AC's human budget",
+        (
+            Setting("Δ rule (default)"),
+            Setting("fixed", methods=(Method.HITL_FIX,)),
+            Setting("quantile of |c|", {"boundary_source": "quantile", "target_rate": _BUDGET}),
+            Setting("PID on human control", {"boundary_source": "pid", "target_rate": _BUDGET}),
+            Setting("random", _RANDOM, (Method.HITL_FIX,)),
+            Setting("Δ rule, takeover", _TAKEOVER),
+            Setting("Δ rule, takeover, hysteresis", _TAKEOVER | {"release": "hysteresis"}),
         ),
     ),
 }
