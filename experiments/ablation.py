@@ -92,7 +92,7 @@ def main(options: AblationOptions) -> int:
         print(f"\nStopped; what is done is in {store.path}. The same command goes on.", flush=True)
         code = 130
     for name in names:
-        if text := _write(name, options, store):
+        if text := write_ablation(name, options, store):
             print(text)
     return code
 
@@ -176,8 +176,20 @@ def _summary(finished: FinishedRun, tests: list[Row]) -> Row:
     return {name: value for name, value in row.items() if name not in ("method", "seed")}
 
 
-def _write(name: str, options: AblationOptions, store: Store) -> str:
-    """Writes table and figure of what is done of an ablation; the table, empty without a run."""
+def write_ablation(name: str, options: AblationOptions, store: Store) -> str:
+    """Writes table and figure of what is done of an ablation.
+
+    Args:
+        name: one of `ABLATIONS`.
+        options: seeds and budget.
+        store: the runs; the files go beside it.
+
+    Returns:
+        The table, empty without a run.
+
+    Raises:
+        ResultsError: if a file cannot be written.
+    """
     lines = []
     for setting, parts in _parts(ABLATIONS[name]):
         done = [run for run in _ids(setting, parts, options) if run in store]

@@ -215,9 +215,8 @@ def _config(options: SweepOptions) -> dict[str, Any]:
 
 def _draw(folder: ResultsFolder) -> list[Any]:
     """Writes summary and figures; the paths written, and notes on what could not be drawn."""
-    rng = np.random.default_rng(STATISTICS_SEED)
-    tables = write_summary(folder, rng)
-    paths, notes = figures.draw_all(folder, rng)
+    tables = write_summary(folder, np.random.default_rng(STATISTICS_SEED))
+    paths, notes = figures.draw_all(folder, np.random.default_rng(STATISTICS_SEED))
     return [*tables, *paths, *notes]
 
 

@@ -87,6 +87,10 @@ def test_every_setting_can_be_made_and_has_a_label_of_its_own():
             changed(setting.changes)
 
 
+def test_the_help_names_every_ablation():
+    assert not [name for name in ABLATIONS if name not in ablation.AblationOptions.__doc__]
+
+
 def test_a_misspelt_option_is_not_passed_over():
     with pytest.raises(ValueError, match="btach_size"):
         changed({"btach_size": 1})

@@ -1,0 +1,149 @@
+"""The report: `python -m experiments.report` rebuilds it, and every figure, from saved data.
+
+Each number in it is computed here from the folders of `results/`. Run on what is committed, it
+changes nothing.
+"""
+
+import dataclasses
+import pathlib
+import sys
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments.ablation import AblationOptions, write_ablation
+from experiments.ablations.settings import ABLATIONS
+from experiments.ablations.store import Store
+from experiments.cli import BadInput, run_main
+from experiments.reports.claims import Claim, Results, judge
+from hitl_jax.figures import draw_all
+from hitl_jax.files import ResultsError, write_text_atomic
+from hitl_jax.results import ResultsFolder, Run
+from hitl_jax.summary import write_summary
+
+_STATISTICS_SEED = 0
+"""Seed of the bootstrap: the same data give the same intervals."""
+
+_FIGURES = {
+    "figure4_training": "training return over episodes",
+    "figure4_steps": "the same over environment steps",
+    "figure5_test": "test episodes",
+    "figure6_boundary": "the boundary",
+    "figure7_human": "the human's work",
+}
+
+
+class _Comparison(NamedTuple):
+    """One learner's comparison of the three methods."""
+
+    learner: str
+    folder: str
+
+
+_COMPARISONS = (_Comparison("td3", "ten_seeds"), _Comparison("ddpg", "ten_seeds_ddpg"))
+
+
+@dataclasses.dataclass(frozen=True)
+class ReportOptions:
+    """Rebuilds REPORT.md, the summaries, the tables and the figures of a folder of results.
+
+    Attributes:
+        results: the folder, with `ten_seeds`, `ten_seeds_ddpg` and `ablations` in it; what is
+            missing is said in the report.
+    """
+
+    results: str = "results"
+
+
+def main(options: ReportOptions) -> int:
+    """Writes everything.
+
+    Args:
+        options: where.
+
+    Returns:
+        The exit code.
+    """
+    root = pathlib.Path(options.results)
+    try:
+        parts = [_HEAD]
+        for comparison in _COMPARISONS:
+            parts.append(_comparison(comparison, root))
+        parts.append(_ablations(root / "ablations"))
+        if not any(root.glob("*/config.json")):
+            raise BadInput(f"--results {root}: holds no results")
+        path = root / "REPORT.md"
+        write_text_atomic(path, "\n".join(parts))
+    except ResultsError as error:
+        raise BadInput(f"--results {error}") from error
+    print(path)
+    return 0
+
+
+_HEAD = """\
+# Report
+
+Does what the paper claims hold here, by how much, and what makes it hold? Written by
+`python -m experiments.report` from the data in this folder; [README.md](README.md) has what a
+program cannot say.
+
+A claim *holds* or *does not hold* by the rule in the column "to hold"; it is *not decided* where
+the interval allows both. Intervals are bootstrap 95 % intervals over seeds.
+"""
+
+
+def _comparison(comparison: _Comparison, root: pathlib.Path) -> str:
+    folder = ResultsFolder(root / comparison.folder)
+    title = f"## The three methods with `--learner {comparison.learner}`\n"
+    if not folder.path.exists():
+        return f"{title}\nNot run yet.\n"
+    write_summary(folder, np.random.default_rng(_STATISTICS_SEED))
+    draw_all(folder, np.random.default_rng(_STATISTICS_SEED))
+    runs: dict[str, list[Run]] = {}
+    for run in folder.load_all():
+        runs.setdefault(run.key.method, []).append(run)
+    config = folder.load_config()
+    seeds = ", ".join(f"{method} {len(of)}" for method, of in runs.items())
+    commits = Counter(run.info["commit"][:7] for of in runs.values() for run in of)
+    made = ", ".join(f"{commit} ({count} runs)" for commit, count in commits.items())
+    try:
+        claims = judge(Results(runs, config["hyper"]["human"]["tolerance"]))
+    except ValueError as error:
+        return f"{title}\nUnder way: {error}.\n"
+    name = comparison.folder
+    figures = "".join(f"![{text}]({name}/figures/{stem}.png)\n" for stem, text in _FIGURES.items())
+    return (
+        f"{title}\nSeeds: {seeds}; {config['episodes']} training episodes and "
+        f"{config['test_episodes']} test episodes each. Commit {made}. Options, versions, time and "
+        f"cost of every run are in `{name}`, its tables in "
+        f"[{name}/summary.md]({name}/summary.md).\n\n{_claims(claims)}\n{figures}"
+    )
+
+
+def _claims(claims: list[Claim]) -> str:
+    rows = [["claim", "the paper", "to hold", "measured", "verdict"], ["---"] * 5]
+    rows += [[c.name, c.paper, c.aim, c.measured, f"**{c.verdict}**"] for c in claims]
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def _ablations(folder: pathlib.Path) -> str:
+    title = "## Ablations\n"
+    store = Store(folder / "runs.csv")
+    if not store.path.exists():
+        return f"{title}\nNot run yet.\n"
+    options = AblationOptions(name="all")
+    parts = [title]
+    for name in ABLATIONS:
+        text = write_ablation(name, options, store)
+        if text:
+            command = f"    python -m experiments.ablation {name} --out results/ablations\n"
+            picture = f"![{ABLATIONS[name].title}](ablations/{name}.png)\n"
+            parts += [text.replace("# ", "### ", 1), command, picture]
+        else:
+            parts.append(f"### {ABLATIONS[name].title}\n\nNot run yet.\n")
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    sys.exit(run_main(ReportOptions, main))

@@ -1,0 +1,257 @@
+"""The paper's claims, one by one, against a folder of results.
+
+Each claim is given what the paper says, what must be seen for it to hold here, what was measured,
+and a verdict that follows from the two by a rule; nobody's opinion comes between.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from hitl_jax import stats
+from hitl_jax.results import Run
+from hitl_jax.summary import WINDOW, summarise_run
+from hitl_jax.tables import METHODS, select
+
+_RESAMPLES = 2000
+_WALKS = 200.0  # A return that only a walker gets that walks well.
+_EARLY = 400  # The paper's episode at which HITL-AC improves.
+_NEAR = 0.05  # rad
+_SETTLED = 0.03  # rad
+_SURE = 0.8
+
+HOLDS, HOLDS_NOT, UNDECIDED = "holds", "does not hold", "not decided"
+
+
+class Claim(NamedTuple):
+    """One row of the table.
+
+    Attributes:
+        name: in a few words, with the figure.
+        paper: what the paper says.
+        aim: what must be seen.
+        measured: what was.
+        verdict: `HOLDS`, `HOLDS_NOT` or `UNDECIDED`.
+    """
+
+    name: str
+    paper: str
+    aim: str
+    measured: str
+    verdict: str
+
+
+class Results(NamedTuple):
+    """The runs of one learner.
+
+    Attributes:
+        runs: finished runs by method, in the order of their seeds.
+        tolerance: hull angle from which the human sees danger [rad].
+    """
+
+    runs: dict[str, list[Run]]
+    tolerance: float
+
+
+def judge(results: Results) -> list[Claim]:
+    """All claims that a folder with the three methods can answer.
+
+    Raises:
+        ValueError: if a method has no run.
+    """
+    missing = [method for method in METHODS if not results.runs.get(method)]
+    if missing:
+        raise ValueError(f"no finished run of {', '.join(missing)}")
+    claims: list[Callable[[Results, np.random.Generator], Claim]] = [
+        _speed,
+        _skill,
+        _improvement,
+        _boundary,
+        _burden,
+        _assistance,
+        _foresight,
+    ]
+    return [claim(results, np.random.default_rng(0)) for claim in claims]
+
+
+def _speed(results: Results, rng: np.random.Generator) -> Claim:
+    passages = {}
+    cells = []
+    for method in METHODS:
+        curves = np.array([trailing_returns(run) for run in results.runs[method]])
+        passage = _passage(stats.interquartile_mean(curves, 0))
+        low, high = _passage_interval(curves, rng)
+        passages[method] = passage
+        cells.append(f"{method.upper()} {_episode(passage)} [{_episode(low)}, {_episode(high)}]")
+    srl, fix, ac = (passages[method] for method in METHODS)
+    return Claim(
+        "Training speed (Figure 4)",
+        "HITL-AC improves near episode 400, HITL-FIX after 500, SRL is very poor for 800",
+        f"the interquartile mean of HITL-AC's trailing-{WINDOW} returns passes {_WALKS:.0f} by "
+        f"episode {_EARLY}, HITL-FIX's after it, SRL's after both",
+        "episode: " + ", ".join(reversed(cells)),
+        HOLDS if ac <= _EARLY and ac < fix < srl else HOLDS_NOT,
+    )
+
+
+def _skill(results: Results, rng: np.random.Generator) -> Claim:
+    centres, cells = [], []
+    for method in METHODS:
+        scores = _scores(results, method)
+        centres.append(float(stats.interquartile_mean(scores, 0)))
+        low, high = stats.bootstrap_interval(scores, stats.interquartile_mean, rng)
+        mean_low, mean_high = stats.bootstrap_interval(scores, stats.mean, rng)
+        cells.append(
+            f"{method.upper()} {centres[-1]:.0f} [{low:.0f}, {high:.0f}] "
+            f"(mean {scores.mean():.0f} [{mean_low:.0f}, {mean_high:.0f}])"
+        )
+    srl, fix, ac = centres
+    return Claim(
+        "Skill without the human (Figure 5)",
+        "over 100 test episodes HITL-AC 279.7, HITL-FIX 260.5, SRL below",
+        "interquartile means of the autonomous test return: HITL-AC at least 300, above HITL-FIX "
+        "with the same τ_0, above SRL",
+        ", ".join(reversed(cells)),
+        HOLDS if ac >= 300 and ac > fix > srl else HOLDS_NOT,
+    )
+
+
+def _improvement(results: Results, rng: np.random.Generator) -> Claim:
+    cells, verdicts = [], []
+    for x, y in (("hitl-ac", "hitl-fix"), ("hitl-fix", "srl")):
+        pairs = _paired(results, x, y)
+        p, low, high = stats.probability_of_improvement(pairs[:, 0], pairs[:, 1], rng)
+        cells.append(f"{x.upper()} over {y.upper()} {p:.2f} [{low:.2f}, {high:.2f}]")
+        if p >= _SURE and low > 0.5:
+            verdicts.append(HOLDS)
+        else:
+            verdicts.append(HOLDS_NOT if high < _SURE else UNDECIDED)
+    return Claim(
+        "How sure that order is",
+        "one run of each method",
+        f"probability of improvement, paired by seed, at least {_SURE} for each step, its interval "
+        "above 0.5",
+        ", ".join(cells),
+        _least(verdicts),
+    )
+
+
+def _boundary(results: Results, rng: np.random.Generator) -> Claim:
+    del rng
+    ends, settled = [], []
+    for run in results.runs["hitl-ac"]:
+        trace = run.episodes["final_boundary"]
+        ends.append(trace[-1])
+        away = np.flatnonzero(np.abs(trace - results.tolerance) > _SETTLED)
+        settled.append(away[-1] + 2 if away.size else 1)
+    near = np.abs(np.array(ends) - results.tolerance) <= _NEAR
+    return Claim(
+        "The boundary (Figure 6)",
+        "a learned trend beside the reward",
+        f"for every seed, within {_NEAR} rad of the human's own threshold of "
+        f"{results.tolerance:g} rad at the end of training",
+        f"{near.sum()} of {near.size} seeds, from {min(ends):.3f} to {max(ends):.3f} rad; within "
+        f"{_SETTLED} rad for good from episode {np.median(settled):.0f} on by the median "
+        f"({min(settled)} to {max(settled)})",
+        HOLDS if near.all() else HOLDS_NOT,
+    )
+
+
+def _burden(results: Results, rng: np.random.Generator) -> Claim:
+    ratios = []
+    for run in results.runs["hitl-ac"]:
+        work = run.episodes["interventions"]
+        part = max(len(work) // 5, 1)
+        ratios.append((work[:part].mean(), work[-part:].mean()))
+    first, last = np.array(ratios).T
+    low, high = stats.bootstrap_interval(first - last, stats.mean, rng)
+    return Claim(
+        "The human's work falls",
+        "–",
+        "fewer interventions an episode in the last fifth of HITL-AC's training than in the first",
+        f"{first.mean():.2f} an episode, then {last.mean():.2f}; difference "
+        f"{(first - last).mean():.2f} [{low:.2f}, {high:.2f}]",
+        HOLDS if low > 0 else HOLDS_NOT if high < 0 else UNDECIDED,
+    )
+
+
+def _assistance(results: Results, rng: np.random.Generator) -> Claim:
+    gains = []
+    for run in results.runs["hitl-ac"]:
+        alone, helped = (
+            select(run.tests, "mode", mode)["return"].mean() for mode in ("autonomous", "assisted")
+        )
+        gains.append(helped - alone)
+    gain = np.array(gains)
+    low, high = stats.bootstrap_interval(gain, stats.mean, rng)
+    return Claim(
+        "Help in the test",
+        "the boundary guides the agent to seek the human's intervention",
+        "HITL-AC's assisted test return above its autonomous one",
+        f"{gain.mean():+.2f} [{low:+.2f}, {high:+.2f}] a seed",
+        HOLDS if low > 0 else HOLDS_NOT if high < 0 else UNDECIDED,
+    )
+
+
+def _foresight(results: Results, rng: np.random.Generator) -> Claim:
+    del rng
+    falls = warned = 0
+    leads: list[float] = []
+    for run in results.runs["hitl-ac"]:
+        tests = select(run.tests, "mode", "autonomous")
+        lead = tests["lead_steps"][tests["fall"] == 1]
+        falls += lead.size
+        warned += int((~np.isnan(lead)).sum())
+        leads += lead[~np.isnan(lead)].tolist()
+    time = f"; {np.median(leads) / 50:.2f} s before it by the median" if leads else ""
+    return Claim(
+        "Alarms before falls",
+        "–",
+        "reported: falls in HITL-AC's autonomous tests with an alarm in the last second",
+        f"{warned} of {falls} falls{time}",
+        "–",
+    )
+
+
+def trailing_returns(run: Run) -> np.ndarray:
+    """Mean of the last returns at each training episode, [T]."""
+    return stats.trailing_mean(run.episodes["return"], WINDOW)
+
+
+def _passage(curve: np.ndarray) -> float:
+    episode = stats.first_passage(curve, _WALKS, WINDOW)
+    return np.inf if episode is None else float(episode)
+
+
+def _passage_interval(curves: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:
+    drawn = rng.integers(len(curves), size=(_RESAMPLES, len(curves)))
+    passages = [_passage(stats.interquartile_mean(curves[seeds], 0)) for seeds in drawn]
+    # No interpolation: "never" is infinite.
+    low = np.quantile(passages, 0.025, method="lower")
+    high = np.quantile(passages, 0.975, method="higher")
+    return float(low), float(high)
+
+
+def _episode(passage: float) -> str:
+    return "never" if np.isinf(passage) else f"{passage:.0f}"
+
+
+def _scores(results: Results, method: str) -> np.ndarray:
+    rows = [summarise_run(run) for run in results.runs[method]]
+    return np.array([row["test_return_mean"] for row in rows], float)
+
+
+def _paired(results: Results, x: str, y: str) -> np.ndarray:
+    """Test returns of the seeds that both methods have, [S, 2]."""
+    scores = [
+        dict(zip([run.key.seed for run in results.runs[m]], _scores(results, m), strict=True))
+        for m in (x, y)
+    ]
+    seeds = sorted(scores[0].keys() & scores[1].keys())
+    return np.array([[by_seed[seed] for by_seed in scores] for seed in seeds])
+
+
+def _least(verdicts: list[str]) -> str:
+    order = (HOLDS_NOT, UNDECIDED, HOLDS)
+    return min(verdicts, key=order.index)

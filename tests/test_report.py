@@ -1,0 +1,122 @@
+"""The report: its verdicts, and that what is committed is what the data give."""
+
+import pathlib
+import shutil
+
+import numpy as np
+import pytest
+
+from experiments import report
+from experiments.cli import run_main
+from experiments.reports.claims import HOLDS, HOLDS_NOT, UNDECIDED, Results, judge
+from hitl_jax.results import Run, RunKey
+from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS, to_table
+
+_RESULTS = pathlib.Path(__file__).parents[1] / "results"
+
+
+def _run(method, seed, rises_at, test_return, assisted=0.0, end=0.45, interventions=(3, 1)):
+    """A run that walks from one episode on."""
+    number = np.arange(1, 1001)
+    training = dict.fromkeys(EPISODE_COLUMNS, np.zeros(1000)) | {
+        "episode": number,
+        "return": np.where(number < rises_at, -100.0, 300.0),
+        "end": ["goal"] * 1000,
+        "length": np.ones(1000),
+        "env_steps": number,
+        "interventions": np.where(number < 500, *interventions),
+        "final_boundary": np.where(number < 300, 0.7, end),
+    }
+    tests = dict.fromkeys(TEST_COLUMNS, np.zeros(4)) | {
+        "mode": ["autonomous"] * 2 + ["assisted"] * 2,
+        "episode": [1, 2, 1, 2],
+        "return": [test_return] * 2 + [test_return + assisted] * 2,
+        "length": np.ones(4),
+        "fall": [1, 1, 0, 0],
+        "end": ["fall", "fall", "goal", "goal"],
+        "lead_steps": [10.0, np.nan, np.nan, np.nan],
+    }
+    return Run(
+        RunKey(method, seed),
+        {"wall_seconds": 1.0},
+        to_table(training, EPISODE_COLUMNS),
+        to_table(tests, TEST_COLUMNS),
+    )
+
+
+def _judge(srl, fix, ac):
+    runs = {"srl": srl, "hitl-fix": fix, "hitl-ac": ac}
+    made = {
+        m: [_run(m, seed, **kwargs) for seed, kwargs in enumerate(of)] for m, of in runs.items()
+    }
+    return {claim.name: claim for claim in judge(Results(made, tolerance=0.45))}
+
+
+def test_all_claims_can_hold():
+    claims = _judge(
+        srl=[{"rises_at": 600, "test_return": 200.0 + seed} for seed in range(5)],
+        fix=[{"rises_at": 400, "test_return": 280.0 + seed} for seed in range(5)],
+        ac=[{"rises_at": 250, "test_return": 310.0 + seed, "assisted": 5.0} for seed in range(5)],
+    )
+    verdicts = {name: claim.verdict for name, claim in claims.items()}
+    assert verdicts.pop("Alarms before falls") == "–"
+    assert set(verdicts.values()) == {HOLDS}
+    # Of 100 returns of 300 or -100, 75 of 300 make a mean of 200.
+    speed = claims["Training speed (Figure 4)"].measured
+    assert speed == ("episode: HITL-AC 324 [324, 324], HITL-FIX 474 [474, 474], SRL 674 [674, 674]")
+    assert claims["Help in the test"].measured == "+5.00 [+5.00, +5.00] a seed"
+    assert claims["Alarms before falls"].measured == "5 of 10 falls; 0.20 s before it by the median"
+    boundary = claims["The boundary (Figure 6)"].measured
+    assert "for good from episode 300 on by the median (300 to 300)" in boundary
+
+
+def test_all_claims_can_fail():
+    claims = _judge(
+        srl=[{"rises_at": 300, "test_return": 300.0 + seed} for seed in range(5)],
+        fix=[{"rises_at": 400, "test_return": 280.0 + seed} for seed in range(5)],
+        ac=[
+            {
+                "rises_at": 2000,
+                "test_return": 200.0 + seed,
+                "assisted": -5.0,
+                "end": 0.6,
+                "interventions": (1, 3),
+            }
+            for seed in range(5)
+        ],
+    )
+    verdicts = {name: claim.verdict for name, claim in claims.items()}
+    del verdicts["Alarms before falls"]
+    assert set(verdicts.values()) == {HOLDS_NOT}
+    assert "HITL-AC never [never, never]" in claims["Training speed (Figure 4)"].measured
+
+
+def test_what_the_seeds_do_not_decide_is_said():
+    ac = [{"rises_at": 300, "test_return": value} for value in (310.0, 320.0, 330.0, 200.0, 340.0)]
+    fix = [{"rises_at": 400, "test_return": 305.0}] * 5
+    srl = [{"rises_at": 600, "test_return": 100.0}] * 5
+    claims = _judge(srl, fix, ac)
+    assert claims["How sure that order is"].verdict == UNDECIDED
+    assert claims["Help in the test"].verdict == UNDECIDED
+
+
+def test_a_method_without_runs_is_named():
+    with pytest.raises(ValueError, match="no finished run of hitl-fix, hitl-ac"):
+        judge(Results({"srl": [_run("srl", 0, 300, 200.0)]}, 0.45))
+
+
+def test_what_is_committed_is_what_the_data_give(tmp_path, monkeypatch):
+    # Drawings may differ with matplotlib's version; texts may not.
+    monkeypatch.setattr(report, "draw_all", lambda folder, rng: ([], []))
+    copy = tmp_path / "results"
+    shutil.copytree(_RESULTS, copy)
+    assert run_main(report.ReportOptions, report.main, ["--results", str(copy)]) == 0
+    for path in sorted(_RESULTS.rglob("*.md")):
+        written = copy / path.relative_to(_RESULTS)
+        assert written.read_text() == path.read_text()
+
+
+@pytest.mark.parametrize("folder", ["missing", "pyproject.toml"])
+def test_a_folder_without_results_is_refused(folder, capsys):
+    assert run_main(report.ReportOptions, report.main, ["--results", folder]) == 2
+    assert capsys.readouterr().err == f"error: --results {folder}: holds no results\n"
