@@ -15,6 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
+from experiments.changes import Changes, changed
 from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
 from hitl_jax import files
@@ -25,9 +26,7 @@ from hitl_jax.evaluation import Evaluator, evaluate_run
 from hitl_jax.provenance import git_commit
 from hitl_jax.rollout import LoopConfig, Rollout, Run, RunSpec, num_slots
 
-_Changes = dict[str, Any]
-
-_BASE: _Changes = {
+_BASE: Changes = {
     "hidden_sizes": (128, 128),
     "layer_norm": False,
     "batch_size": 128,
@@ -36,11 +35,11 @@ _BASE: _Changes = {
     "noise_free_every": 0,
 }
 
-_NORM: _Changes = {"batch_size": 64, "layer_norm": True}
-_QUIET: _Changes = _NORM | {"noise_free_every": 4}
-_SLOW: _Changes = {"actor_learning_rate": 5e-4, "critic_learning_rate": 5e-4}
+_NORM: Changes = {"batch_size": 64, "layer_norm": True}
+_QUIET: Changes = _NORM | {"noise_free_every": 4}
+_SLOW: Changes = {"actor_learning_rate": 5e-4, "critic_learning_rate": 5e-4}
 
-CONFIGURATIONS: dict[str, _Changes] = {
+CONFIGURATIONS: dict[str, Changes] = {
     "128-batch-128": {},
     "128-batch-64": {"batch_size": 64},
     "128-batch-64-norm": _NORM,
@@ -91,7 +90,7 @@ def main(options: TuningOptions) -> int:
             raise BadInput(f"--out {options.out}: {error.strerror}") from error
     keep_programs()
     for name in options.configurations:
-        agent, loop, hyper = _parts(_BASE | CONFIGURATIONS[name])
+        agent, loop, hyper, _ = changed(_BASE | CONFIGURATIONS[name])
         asked = {
             "budget": _budget(options),
             "agent": dataclasses.asdict(agent),
@@ -120,20 +119,6 @@ def _check(options: TuningOptions) -> None:
         require(name, getattr(options, name), at_least=1)
     require("ticks", options.ticks, at_least=_STAGES * LoopConfig().chunk)
     require("first_seed", options.first_seed, at_least=0)
-
-
-def _parts(changes: _Changes) -> tuple[AgentConfig, LoopConfig, Hyper]:
-    """The configuration that some options make of the defaults."""
-    used: set[str] = set()
-
-    def change(default: Any) -> Any:
-        names = {field.name for field in dataclasses.fields(default)} & changes.keys()
-        used.update(names)
-        return dataclasses.replace(default, **{name: changes[name] for name in names})
-
-    parts = change(AgentConfig()), change(LoopConfig()), change(Hyper())
-    assert used == changes.keys(), f"no such option: {changes.keys() - used}"
-    return parts
 
 
 def _budget(options: TuningOptions) -> dict[str, int]:

@@ -1,6 +1,7 @@
 """The command that takes the team apart: its runs, table, figure, resuming, and bad input."""
 
 import csv
+import shutil
 
 import pytest
 
@@ -13,10 +14,12 @@ from hitl_jax.config import Method
 from hitl_jax.files import ResultsError
 
 _SMALL = {"hidden_sizes": (8,), "batch_size": 8, "capacity": 400, "warmup_steps": 40}
-_SETTINGS = (
-    Setting("default", _SMALL, (Method.SRL, Method.HITL_AC)),
-    Setting("slow human", _SMALL | {"delay": 10}),
-    Setting("takeover", _SMALL | {"intervention": "takeover"}),
+_TINY = Ablation(
+    "Tiny",
+    (
+        Setting("default", _SMALL, (Method.SRL, Method.HITL_AC)),
+        Setting("slow human", _SMALL | {"delay": 10}),
+    ),
 )
 
 
@@ -30,53 +33,74 @@ def _lines(out):
         return list(csv.DictReader(file))
 
 
+def _add_tiny(patch):
+    patch.setitem(ABLATIONS, "tiny", _TINY)
+    patch.setitem(ABLATIONS, "tiny-too", Ablation("Tiny too", _TINY.settings[:1]))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    out = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as patch:
+        _add_tiny(patch)
+        assert _run(out, "tiny") == 0
+    return out
+
+
 @pytest.fixture
-def tiny(monkeypatch):
-    monkeypatch.setitem(ABLATIONS, "tiny", Ablation("Tiny", _SETTINGS))
-    monkeypatch.setitem(ABLATIONS, "tiny-too", Ablation("Tiny too", _SETTINGS[:2]))
+def copied(made, tmp_path, monkeypatch):
+    _add_tiny(monkeypatch)
+    return shutil.copytree(made, tmp_path / "copy")
 
 
-def test_runs_are_made_once_tabulated_and_drawn(tiny, tmp_path, capsys):
-    assert _run(tmp_path, "tiny") == 0
-    said = capsys.readouterr().out
-    assert said.count("finished ") == 4
-    table = (tmp_path / "tiny.md").read_text()
-    assert table in said
-    assert [line.split(" | ")[:3] for line in table.splitlines()[-4:]] == [
+def test_runs_are_tabulated_and_drawn(made):
+    table = (made / "tiny.md").read_text()
+    assert [line.split(" | ")[:3] for line in table.splitlines()[-3:]] == [
         ["| default", "srl", "1"],
         ["| default", "hitl-ac", "1"],
         ["| slow human", "hitl-ac", "1"],
-        ["| takeover", "hitl-ac", "1"],
     ]
-    assert (tmp_path / "tiny.png").exists()
-    assert (tmp_path / "tiny.svg").exists()
-    assert all(line["episodes"] == "2" for line in _lines(tmp_path))
-
-    assert _run(tmp_path, "tiny-too") == 0  # Its runs are the first ablation's.
-    assert "finished" not in capsys.readouterr().out
-    assert (tmp_path / "tiny-too.md").exists()
-    assert _run(tmp_path, "tiny-too", "--first-seed", "1") == 0
-    assert capsys.readouterr().out.count("finished ") == 3
-    assert len(_lines(tmp_path)) == 7
+    assert (made / "tiny.png").exists()
+    assert (made / "tiny.svg").exists()
+    assert [line["episodes"] for line in _lines(made)] == ["2", "2", "2"]
 
 
-def test_what_is_done_when_it_is_stopped_is_kept(tiny, tmp_path, capsys, monkeypatch):
-    done = ablation.train_and_test
+def test_what_is_done_is_not_done_again(copied, capsys):
+    whole = _lines(copied)
+    assert _run(copied, "tiny-too") == 0  # Its runs are the first ablation's.
+    said = capsys.readouterr().out
+    assert "finished" not in said
+    assert (copied / "tiny-too.md").read_text() in said
+    # A lost run is made again, by itself, with the same numbers.
+    text = (copied / "runs.csv").read_text().splitlines(keepends=True)
+    (copied / "runs.csv").write_text("".join(text[:-1]))
+    assert _run(copied, "tiny") == 0
+    assert capsys.readouterr().out.count("finished ") == 1
+    for line in (*whole, *(again := _lines(copied))):
+        del line["wall_seconds"]
+    assert again == whole
 
-    def first_only(*args):
-        runs = done(*args)
-        yield next(runs)
-        runs.close()
+
+def test_what_is_done_when_it_is_stopped_is_kept(copied, capsys, monkeypatch):
+    def stopped(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(ablation, "train_and_test", first_only)
-    assert _run(tmp_path, "tiny") == 130
+    monkeypatch.setattr(ablation, "train_and_test", stopped)
+    before = (copied / "runs.csv").read_text()
+    assert _run(copied, "tiny", "--seeds", "2") == 130
     assert "Stopped" in capsys.readouterr().out
-    assert len(_lines(tmp_path)) == 1
-    assert (tmp_path / "tiny.md").exists()
-    monkeypatch.setattr(ablation, "train_and_test", done)
-    assert _run(tmp_path, "tiny") == 0
-    assert capsys.readouterr().out.count("finished ") == 3
+    assert (copied / "runs.csv").read_text() == before
+
+
+def test_settings_of_one_program_are_trained_together(tmp_path, monkeypatch):
+    groups = []
+    monkeypatch.setattr(ablation, "_run_group", lambda group, *_: groups.append(set(group)))
+    assert _run(tmp_path, "all") == 0
+    assert len(groups[0]) == max(map(len, groups)) > 20
+    assert not set.intersection(*groups)
+    names = {run.setting for run in groups[0]}
+    assert {"", "delay=10", "feedback=0.0"} <= names
+    assert not any("intervention=" in name for name in names)
 
 
 def test_every_setting_can_be_made_and_has_a_label_of_its_own():
@@ -116,14 +140,12 @@ def test_a_foreign_file_is_refused(text, tmp_path):
         Store(path)
 
 
-def test_a_damaged_file_is_refused(tiny, tmp_path, capsys):
-    assert _run(tmp_path, "tiny-too") == 0
-    path = tmp_path / "runs.csv"
+def test_a_damaged_file_is_refused(copied, capsys):
+    path = copied / "runs.csv"
     whole = path.read_text()
-    capsys.readouterr()
     for damaged in (whole[:-30], whole.replace("hitl-ac,0", "hitl-ac,zero")):
         path.write_text(damaged)
-        assert _run(tmp_path, "tiny-too") == 2
+        assert _run(copied, "tiny-too") == 2
         said = capsys.readouterr().err
         assert said.startswith(f"error: --out {path}: damaged")
         assert path.read_text() == damaged

@@ -79,8 +79,14 @@ class Store:
         writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
         writer.writeheader()
         ids = sorted(self._rows, key=dataclasses.astuple)
-        writer.writerows(dataclasses.asdict(run) | self._rows[run] for run in ids)
+        writer.writerows(dataclasses.asdict(run) | _plain(self._rows[run]) for run in ids)
         write_text_atomic(self.path, text.getvalue())
+
+
+def _plain(row: Row) -> Row:
+    """Whole numbers without a point, so that what is read back is written as it was."""
+    whole = {name: int(x) for name, x in row.items() if isinstance(x, float) and x.is_integer()}
+    return row | whole
 
 
 def _lines(path: pathlib.Path) -> list[dict[str, str]]:
