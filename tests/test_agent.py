@@ -1,3 +1,5 @@
+import functools
+
 import chex
 import jax
 import jax.numpy as jnp
@@ -9,6 +11,7 @@ from hitl_jax import agent as agents
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 
 
+@functools.cache
 def _probe_agent(learner, n_step=1, layer_norm=False):
     config = AgentConfig(
         learner=learner,
@@ -27,11 +30,13 @@ def _probe_hyper(**changes):
     return hyper_for(Method.SRL, hyper)
 
 
+_learn = jax.jit(agents.learn, static_argnums=(0, 5))
+
+
 def _train(agent, hyper, frames, updates):
     memory = replay.add(replay.init(frames.shape[1], 1, agent.layout), frames)
     state = agents.init(agent, jax.random.key(0))
-    learn = jax.jit(lambda s: agents.learn(agent, hyper, s, memory, jnp.int32(0), updates))
-    return learn(state)
+    return _learn(agent, hyper, state, memory, jnp.int32(0), updates)
 
 
 @pytest.mark.parametrize("learner", ["ddpg", "td3"])
@@ -58,9 +63,10 @@ def test_learns_a_policy_of_known_value(learner, layer_norm):
     np.testing.assert_allclose(q, np.ones_like(q), atol=0.05)
 
 
+# The two endings stand next to each other, since they share a compiled program.
+@pytest.mark.parametrize(("ending", "last"), [("terminated", 1.0), ("truncated", 2.0)])
 @pytest.mark.parametrize("learner", ["ddpg", "td3"])
 @pytest.mark.parametrize("n_step", [1, 3])
-@pytest.mark.parametrize(("ending", "last"), [("terminated", 1.0), ("truncated", 2.0)])
 @pytest.mark.parametrize("layer_norm", [False, True])
 def test_bootstraps_through_time_limits_and_not_through_ends(
     learner, n_step, ending, last, layer_norm
