@@ -176,6 +176,26 @@ def _summary(finished: FinishedRun, tests: list[Row]) -> Row:
     return {name: value for name, value in row.items() if name not in ("method", "seed")}
 
 
+def lines_of(name: str, options: AblationOptions, store: Store) -> list[Line]:
+    """What is done of an ablation.
+
+    Args:
+        name: one of `ABLATIONS`.
+        options: seeds and budget.
+        store: the runs.
+
+    Returns:
+        A line for each setting and method that has a run.
+    """
+    lines = []
+    for setting, parts in _parts(ABLATIONS[name]):
+        done = [run for run in _ids(setting, parts, options) if run in store]
+        for method in setting.methods:
+            if runs := [store[run] for run in done if run.method == method]:
+                lines.append(Line(setting.label, method, runs))
+    return lines
+
+
 def write_ablation(name: str, options: AblationOptions, store: Store) -> str:
     """Writes table and figure of what is done of an ablation.
 
@@ -190,12 +210,7 @@ def write_ablation(name: str, options: AblationOptions, store: Store) -> str:
     Raises:
         ResultsError: if a file cannot be written.
     """
-    lines = []
-    for setting, parts in _parts(ABLATIONS[name]):
-        done = [run for run in _ids(setting, parts, options) if run in store]
-        for method in setting.methods:
-            if runs := [store[run] for run in done if run.method == method]:
-                lines.append(Line(setting.label, method, runs))
+    lines = lines_of(name, options, store)
     if not lines:
         return ""
     last = options.first_seed + options.seeds - 1

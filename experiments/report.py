@@ -12,11 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.ablation import AblationOptions, write_ablation
+from experiments.ablation import AblationOptions, lines_of, write_ablation
 from experiments.ablations.settings import ABLATIONS
 from experiments.ablations.store import Store
 from experiments.cli import BadInput, run_main
 from experiments.reports.claims import Claim, Results, judge
+from experiments.reports.starts import judge_starts
+from hitl_jax.config import Method
 from hitl_jax.figures import draw_all
 from hitl_jax.files import ResultsError, write_text_atomic
 from hitl_jax.results import ResultsFolder, Run
@@ -24,6 +26,9 @@ from hitl_jax.summary import write_summary
 
 _STATISTICS_SEED = 0
 """Seed of the bootstrap: the same data give the same intervals."""
+
+_STARTS = "initial-boundary"
+_COMPARED = (Method.HITL_FIX, Method.HITL_AC)
 
 _FIGURES = {
     "figure4_training": "training return over episodes",
@@ -133,7 +138,7 @@ def _ablations(folder: pathlib.Path) -> str:
     if not store.path.exists():
         return f"{title}\nNot run yet.\n"
     options = AblationOptions(name="all")
-    parts = [title]
+    parts = [title, *_starts(options, store)]
     for name in ABLATIONS:
         text = write_ablation(name, options, store)
         if text:
@@ -143,6 +148,19 @@ def _ablations(folder: pathlib.Path) -> str:
         else:
             parts.append(f"### {ABLATIONS[name].title}\n\nNot run yet.\n")
     return "\n".join(parts)
+
+
+def _starts(options: AblationOptions, store: Store) -> list[str]:
+    """The claims about τ_0, once every run that they need is there."""
+    lines = {(line.label, line.method): line.runs for line in lines_of(_STARTS, options, store)}
+    labels = [setting.label for setting in ABLATIONS[_STARTS].settings]
+    fixed, learned = (
+        {label: lines.get((label, method), []) for label in labels} for method in _COMPARED
+    )
+    if {len(runs) for runs in (*fixed.values(), *learned.values())} != {options.seeds}:
+        return []
+    default = next(s.label for s in ABLATIONS[_STARTS].settings if not s.changes)
+    return [_claims(judge_starts(fixed, learned, default))]
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import pytest
 from experiments import report
 from experiments.cli import run_main
 from experiments.reports.claims import HOLDS, HOLDS_NOT, UNDECIDED, Results, judge
+from experiments.reports.starts import judge_starts
 from hitl_jax.results import Run, RunKey
 from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS, to_table
 
@@ -98,6 +99,28 @@ def test_what_the_seeds_do_not_decide_is_said():
     claims = _judge(srl, fix, ac)
     assert claims["How sure that order is"].verdict == UNDECIDED
     assert claims["Help in the test"].verdict == UNDECIDED
+
+
+def _starts(**returns_and_work):
+    """Runs by τ_0: a return and interventions, the same for five seeds but for a little."""
+    return {
+        label: [
+            {"test_return_mean": value + seed, "train_interventions": work} for seed in range(5)
+        ]
+        for label, (value, work) in returns_and_work.items()
+    }
+
+
+def test_claims_about_tau_0():
+    fixed = _starts(low=(100.0, 200.0), high=(250.0, 100.0))
+    claims = judge_starts(fixed, _starts(low=(300.0, 50.0), high=(290.0, 50.0)), default="low")
+    assert [claim.verdict for claim in claims] == [HOLDS] * 3
+    assert "from low: +200 [+200, +200]; from high: +40 [+40, +40]" in claims[0].measured
+    assert claims[1].measured == "+50 [+50, +50] against τ_0 = high"
+    # (50 / 302) / (100 / 252)
+    assert claims[2].measured == "0.42 times [0.42, 0.42] those of τ_0 = high"
+    worse = judge_starts(fixed, _starts(low=(150.0, 300.0), high=(150.0, 300.0)), default="low")
+    assert [claim.verdict for claim in worse] == [HOLDS_NOT] * 3
 
 
 def test_a_method_without_runs_is_named():

@@ -1,0 +1,95 @@
+"""The claims about τ_0: what a learned boundary saves over a fixed one, wherever it starts."""
+
+import numpy as np
+
+from experiments.ablations.store import Row
+from experiments.reports.claims import HOLDS, HOLDS_NOT, UNDECIDED, Claim
+from hitl_jax import stats
+
+_RETURN, _WORK = "test_return_mean", "train_interventions"
+_RESAMPLES = 2000
+_MARGIN = 10.0  # Points of return that do not matter.
+
+Starts = dict[str, list[Row]]
+"""Runs of one method by the label of their τ_0."""
+
+
+def judge_starts(fixed: Starts, learned: Starts, default: str) -> list[Claim]:
+    """Three claims, from the same seeds of both methods.
+
+    Args:
+        fixed: HITL-FIX's runs.
+        learned: HITL-AC's, of the same τ_0.
+        default: the label of the τ_0 from which HITL-AC starts when nobody chooses.
+    """
+    best = max(fixed, key=lambda label: _mean(fixed[label], _RETURN))
+    return [
+        _from_anywhere(fixed, learned),
+        _no_worse_than_the_best(fixed[best], learned[default], best),
+        _less_work(fixed[best], learned[default], best),
+    ]
+
+
+def _from_anywhere(fixed: Starts, learned: Starts) -> Claim:
+    cells, verdicts = [], []
+    for label in fixed:
+        gain, low, high = _difference(learned[label], fixed[label], np.random.default_rng(0))
+        cells.append(f"from {label}: {gain:+.0f} [{low:+.0f}, {high:+.0f}]")
+        verdicts.append(HOLDS if low > 0 else HOLDS_NOT if high < 0 else UNDECIDED)
+    return Claim(
+        "A learned boundary beats a fixed one from any τ_0",
+        "HITL-AC above HITL-FIX, from one τ_0",
+        "mean autonomous test return of HITL-AC above HITL-FIX's, from every τ_0",
+        "; ".join(cells),
+        HOLDS_NOT if HOLDS_NOT in verdicts else UNDECIDED if UNDECIDED in verdicts else HOLDS,
+    )
+
+
+def _no_worse_than_the_best(fixed: list[Row], learned: list[Row], best: str) -> Claim:
+    gain, low, high = _difference(learned, fixed, np.random.default_rng(0))
+    return Claim(
+        "It is no worse than the best fixed one",
+        "–",
+        f"mean autonomous test return of HITL-AC, from its default τ_0, not {_MARGIN:g} below that "
+        "of HITL-FIX at the best τ_0 of the table",
+        f"{gain:+.0f} [{low:+.0f}, {high:+.0f}] against τ_0 = {best}",
+        HOLDS if low > -_MARGIN else HOLDS_NOT if high < -_MARGIN else UNDECIDED,
+    )
+
+
+def _less_work(fixed: list[Row], learned: list[Row], best: str) -> Claim:
+    def cost(runs: list[Row], seeds: np.ndarray) -> np.ndarray:
+        work, gained = (_values(runs, name)[seeds].mean(-1) for name in (_WORK, _RETURN))
+        return work / np.where(gained > 0, gained, np.nan)
+
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(len(fixed), size=(_RESAMPLES, len(fixed)))
+    ratios = cost(learned, drawn) / cost(fixed, drawn)
+    everyone = np.arange(len(fixed))
+    ratio = float(cost(learned, everyone) / cost(fixed, everyone))
+    low, high = np.nanquantile(ratios, [0.025, 0.975])
+    return Claim(
+        "Less human work",
+        "–",
+        "HITL-AC's interventions for a point of autonomous test return fewer than HITL-FIX's at "
+        "the best τ_0 of the table",
+        f"{ratio:.2f} times [{low:.2f}, {high:.2f}] those of τ_0 = {best}",
+        HOLDS if high < 1 else HOLDS_NOT if low > 1 else UNDECIDED,
+    )
+
+
+def _difference(
+    better: list[Row], worse: list[Row], rng: np.random.Generator
+) -> tuple[float, float, float]:
+    """Mean of the seeds' differences in test return, with its interval."""
+    gains = _values(better, _RETURN) - _values(worse, _RETURN)
+    low, high = stats.bootstrap_interval(gains, stats.mean, rng)
+    return float(gains.mean()), float(low), float(high)
+
+
+def _mean(runs: list[Row], measure: str) -> float:
+    return float(_values(runs, measure).mean())
+
+
+def _values(runs: list[Row], measure: str) -> np.ndarray:
+    return np.array([run[measure] for run in runs], float)
