@@ -26,7 +26,7 @@ from experiments.progress import Progress
 from experiments.training import Plant, make_team, train_and_test
 from hitl_jax.config import Method, hyper_for, require
 from hitl_jax.files import ResultsError, write_text_atomic
-from hitl_jax.provenance import git_commit
+from hitl_jax.provenance import git_commit, short_commit
 from hitl_jax.results import Run, RunKey
 from hitl_jax.rollout import FinishedRun, Rollout, RunSpec, num_slots
 from hitl_jax.summary import summarise_run
@@ -89,7 +89,11 @@ def main(options: AblationOptions) -> int:
     try:
         _run(names, options, store)
     except KeyboardInterrupt:
-        print(f"\nStopped; what is done is in {store.path}. The same command goes on.", flush=True)
+        print(
+            f"\nStopped. Finished runs are in {store.path}; the same command goes on with the "
+            "others, from their beginning.",
+            flush=True,
+        )
         code = 130
     for name in names:
         if text := write_ablation(name, options, store):
@@ -121,14 +125,19 @@ def _run(names: list[str], options: AblationOptions, store: Store) -> None:
     for run, parts in missing.items():
         program = repr((parts.agent, parts.loop, parts.human_policy))
         programs.setdefault(program, {})[run] = parts
+    commit = short_commit(git_commit())  # Of the code that is loaded, whatever is committed later.
     methods = [m for m in Method if any(run.method == m for run in missing)]
     with Progress(methods, len(missing), options.episodes, 0) as progress:
         for group in sorted(programs.values(), key=len, reverse=True):
-            _run_group(group, options, store, progress)
+            _run_group(group, options, store, progress, commit)
 
 
 def _run_group(
-    group: dict[RunId, Parts], options: AblationOptions, store: Store, progress: Progress
+    group: dict[RunId, Parts],
+    options: AblationOptions,
+    store: Store,
+    progress: Progress,
+    commit: str,
 ) -> None:
     """Trains and tests runs of one compiled program, seed after seed: early tables are fair."""
     runs: dict[RunSpec, RunId] = {}
@@ -142,14 +151,13 @@ def _run_group(
     program = next(iter(group.values()))
     agent = make_team(program.agent, program.human_policy)
     plant = Plant(_BACKEND, num_slots(len(runs), _SLOTS), None, options.test_episodes)
-    commit = git_commit() or "unknown"
     with contextlib.closing(
         train_and_test(agent, list(runs), program.loop, plant, watch)
     ) as tested:
         for finished, tests in tested:
             run = runs[finished.run.spec]
             row = _summary(finished, tests)
-            store.add(run, row | {"commit": commit[:7]})
+            store.add(run, row | {"commit": commit})
             progress.finish(finished.run)
             alone = row["test_return_mean"]
             setting = run.setting or "defaults"

@@ -21,6 +21,7 @@ from experiments.reports.starts import judge_starts
 from hitl_jax.config import Method
 from hitl_jax.figures import draw_all
 from hitl_jax.files import ResultsError, write_text_atomic
+from hitl_jax.provenance import short_commit
 from hitl_jax.results import ResultsFolder, Run
 from hitl_jax.summary import write_summary
 
@@ -71,13 +72,13 @@ def main(options: ReportOptions) -> int:
         The exit code.
     """
     root = pathlib.Path(options.results)
+    if not (any(root.glob("*/config.json")) or (root / "ablations" / "runs.csv").exists()):
+        raise BadInput(f"--results {root}: holds no results")
     try:
         parts = [_HEAD]
         for comparison in _COMPARISONS:
             parts.append(_comparison(comparison, root))
         parts.append(_ablations(root / "ablations"))
-        if not any(root.glob("*/config.json")):
-            raise BadInput(f"--results {root}: holds no results")
         path = root / "REPORT.md"
         write_text_atomic(path, "\n".join(parts))
     except ResultsError as error:
@@ -94,7 +95,8 @@ Does what the paper claims hold here, by how much, and what makes it hold? Writt
 program cannot say.
 
 A claim *holds* or *does not hold* by the rule in the column "to hold"; it is *not decided* where
-the interval allows both. Intervals are bootstrap 95 % intervals over seeds.
+the interval allows both, or where it holds in some resamples of the seeds (2.5 to 97.5 %) and not
+in others. Intervals are bootstrap 95 % intervals over seeds.
 """
 
 
@@ -110,7 +112,7 @@ def _comparison(comparison: _Comparison, root: pathlib.Path) -> str:
         runs.setdefault(run.key.method, []).append(run)
     config = folder.load_config()
     seeds = ", ".join(f"{method} {len(of)}" for method, of in runs.items())
-    commits = Counter(run.info["commit"][:7] for of in runs.values() for run in of)
+    commits = Counter(short_commit(run.info["commit"]) for of in runs.values() for run in of)
     made = ", ".join(f"{commit} ({count} runs)" for commit, count in commits.items())
     try:
         claims = judge(Results(runs, config["hyper"]["human"]["tolerance"]))

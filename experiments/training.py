@@ -96,9 +96,9 @@ def train_and_test(
         for done in rollout:
             for finished in done:
                 yield finished, evaluate_run(evaluator, finished, _modes(finished.run.spec.method))
-            if interrupted():
-                raise KeyboardInterrupt
+                interrupted()
             watch(rollout)
+            interrupted()
 
 
 def _modes(method: Method) -> tuple[Mode, ...]:
@@ -108,8 +108,8 @@ def _modes(method: Method) -> tuple[Mode, ...]:
 
 
 @contextlib.contextmanager
-def _deferred_interrupt() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C is noted, a second one stops at once.
+def _deferred_interrupt() -> Iterator[Callable[[], None]]:
+    """Gives a function that raises KeyboardInterrupt after Ctrl-C; a second one stops at once.
 
     Raised at any instant, KeyboardInterrupt could land where Python drops it.
     """
@@ -120,8 +120,12 @@ def _deferred_interrupt() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         noted = True
 
+    def stop_if_noted() -> None:
+        if noted:
+            raise KeyboardInterrupt
+
     previous = signal.signal(signal.SIGINT, note)
     try:
-        yield lambda: noted
+        yield stop_if_noted
     finally:
         signal.signal(signal.SIGINT, previous)

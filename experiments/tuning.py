@@ -23,7 +23,7 @@ from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require
 from hitl_jax.envs import make_pool
 from hitl_jax.evaluation import Evaluator, evaluate_run
-from hitl_jax.provenance import git_commit
+from hitl_jax.provenance import git_commit, short_commit
 from hitl_jax.rollout import LoopConfig, Rollout, Run, RunSpec, num_slots
 
 _BASE: Changes = {
@@ -200,7 +200,7 @@ def _table(out: pathlib.Path, options: TuningOptions) -> str:
         warmup = data["asked"]["hyper"]["warmup_steps"]
         last, runs = data["stages"][-1], sum(map(len, data["tests"].values()))
         rate = max(last["ticks"] - warmup, 0) * runs / last["seconds"]
-        row = [path.stem, (data["commit"] or "unknown")[:7], f"{rate:,.0f}"]
+        row = [path.stem, short_commit(data["commit"]), f"{rate:,.0f}"]
         for method in Method:
             tests = data["tests"][method]
             thirds = [stage[method] for stage in data["stages"]]

@@ -51,7 +51,7 @@ class Decision:
         alarmed: C, bool [].
         dangerous: h_t = 0, bool [].
         boundary: τ_t, [].
-        next_boundary: τ_{t+1}, [].
+        next_boundary: τ_{t+1} of line 8, [].
         boundary_reward: r'_t, [].
     """
 

@@ -78,7 +78,7 @@ class Programs(NamedTuple):
             donates.
         unpack_behavior: (packed of each device) to what acting needs of all runs, one device after
             the other.
-        boundaries: acting to the carry of each run's boundary source, [R].
+        boundaries: acting to the carry of each run's boundary source, [R] or [R, K].
     """
 
     seat: Callable[..., Seats]

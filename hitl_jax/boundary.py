@@ -135,6 +135,9 @@ def _rule() -> BoundarySource:
     )
 
 
+_QUANTILE_GAIN = 10.0  # in units of Δ⁺: where alarms are rare, τ must come down between them
+
+
 def _quantile() -> BoundarySource:
     """τ follows that quantile of |c| which a target share of the steps exceeds.
 
@@ -143,7 +146,8 @@ def _quantile() -> BoundarySource:
     """
 
     def advance(carry: chex.Array, move: Move) -> chex.Array:
-        return jnp.clip(carry + move.step * (move.alarmed - move.target_rate), move.low, move.high)
+        change = _QUANTILE_GAIN * move.step * (move.alarmed - move.target_rate)
+        return jnp.clip(carry + change, move.low, move.high)
 
     return BoundarySource(
         init=lambda initial: initial,
@@ -174,7 +178,8 @@ def _pid() -> BoundarySource:
         change = (now - error) / _PID_SMOOTHING
         # An integral out of the boundary's range would have to be unwound again.
         integral = jnp.clip(integral + now, move.low - initial, move.high - initial)
-        return jnp.stack([initial, integral, error + change, change])
+        after = jnp.stack([initial, integral, error + change, change])
+        return jnp.where(move.step > 0, after, carry)  # A test is frozen by Δ⁺ = 0.
 
     return BoundarySource(
         init=lambda initial: jnp.stack([initial, *[jnp.zeros_like(initial)] * 3]),

@@ -15,7 +15,7 @@ def flatten(train: TrainState, boundary: np.ndarray) -> dict[str, np.ndarray]:
 
     Args:
         train: training state of one run; optimisers and targets are left out.
-        boundary: the boundary source's carry, [].
+        boundary: the boundary source's carry, [] or [K].
 
     Returns:
         For example `actor/params/Dense_0/kernel`, and `boundary`.

@@ -64,7 +64,7 @@ class Evaluator:
             mode: `autonomous` or `assisted`.
             hyper: the run's hyperparameters, scalars.
             params: the trained parameters.
-            boundary: the boundary source's carry at the end of training, [].
+            boundary: the boundary source's carry at the end of training, [] or [K].
             key: consumed.
             seeds: reset seeds of the episodes, uint32 [N], N the pool's walkers.
 

@@ -50,6 +50,14 @@ def git_commit() -> str | None:
         return None
 
 
+def short_commit(commit: str | None) -> str:
+    """What `git_commit` gave, in a few characters for a table."""
+    if commit is None:
+        return "unknown"
+    digits, *dirty = commit.split("-")
+    return "-".join([digits[:7], *dirty])
+
+
 def _git(folder: pathlib.Path, *arguments: str) -> str:
     done = subprocess.run(
         ["git", *arguments], cwd=folder, capture_output=True, text=True, check=True, timeout=30

@@ -122,7 +122,7 @@ class FinishedRun:
     Attributes:
         run: its record.
         train: its training state, as NumPy arrays.
-        boundary: the boundary source's carry, [].
+        boundary: the boundary source's carry, [] or [K].
     """
 
     run: Run

@@ -7,7 +7,7 @@ import pytest
 
 from experiments import ablation
 from experiments.ablations.settings import ABLATIONS, Ablation, Setting
-from experiments.ablations.store import Store, digest
+from experiments.ablations.store import RunId, Store, digest
 from experiments.changes import changed
 from experiments.cli import run_main
 from hitl_jax.config import Method
@@ -107,6 +107,7 @@ def test_every_setting_can_be_made_and_has_a_label_of_its_own():
     for one in ABLATIONS.values():
         labels = [setting.label for setting in one.settings]
         assert len(set(labels)) == len(labels)
+        assert not any("|" in label for label in labels)  # They stand in a Markdown table.
         for setting in one.settings:
             changed(setting.changes)
 
@@ -130,6 +131,28 @@ def test_digests_tell_options_and_budgets_apart():
     ]
     assert len(set(digests)) == 4
     assert digest(changed({}), budget) == digests[0]
+
+
+def test_the_digest_of_kept_runs_is_the_same():
+    """Whoever adds an option adds it to `store._ADDED`; whoever changes a default changes this."""
+    kept = digest(changed({"initial_boundary": 0.45}), {"episodes": 300, "test_episodes": 20})
+    assert kept == "73ec69e17ec1"
+
+
+def test_values_that_are_not_allowed_are_refused():
+    with pytest.raises(ValueError, match="delay 40: must be from 0 to 32"):
+        changed({"delay": 40})
+
+
+def test_two_processes_do_not_lose_each_others_runs(copied):
+    path = copied / "runs.csv"
+    one, other = Store(path), Store(path)
+    row = dict.fromkeys(_lines(copied)[0].keys() - {"setting", "method", "seed", "digest"}, 1.0)
+    one.add(RunId("one", "srl", 7, "d"), row)
+    other.add(RunId("other", "srl", 7, "d"), row)
+    both = Store(path)
+    assert RunId("one", "srl", 7, "d") in both
+    assert RunId("other", "srl", 7, "d") in both
 
 
 @pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "{}"])

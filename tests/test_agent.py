@@ -165,6 +165,27 @@ def test_takeover_executes_the_human_action():
     np.testing.assert_allclose(decision.action[1:3], jnp.stack(expected)[1:3], atol=1e-6)
 
 
+def test_with_hysteresis_a_takeover_ends_well_within_the_boundary():
+    agent = agents.make_agent(AgentConfig(intervention="takeover", release="hysteresis"))
+    hyper = Hyper(takeover_steps=1, release_share=0.5, initial_boundary=0.7)
+    walk = _walk([0.9, 0.4, 0.36, 0.34, 0.36])  # Below 0.45 rad the human sees no danger.
+    _, decision = _act_many(agent, hyper_for(Method.HITL_FIX, hyper), walk)
+    assert decision.control.tolist() == [True, True, True, False, False]
+    absent = hyper_for(Method.HITL_FIX, hyper).replace(human_present=0.0)
+    _, decision = _act_many(agent, absent, walk)
+    assert not decision.control.any()
+
+
+@pytest.mark.parametrize("source", ["quantile", "pid"])
+def test_a_source_with_a_target_moves_hitl_acs_boundary_alone(source):
+    agent = agents.make_agent(AgentConfig(boundary_source=source))
+    walk = _walk([0.9] * 50)
+    for method, moves in ((Method.HITL_AC, True), (Method.HITL_FIX, False)):
+        _, decision = _act_many(agent, hyper_for(method, Hyper(boundary_noise=0.0)), walk)
+        assert (decision.boundary[-1] > 0.71) == moves
+        assert decision.boundary[0] == pytest.approx(0.7)
+
+
 def test_an_absent_human_changes_nothing_but_is_recorded():
     agent = agents.make_agent(AgentConfig(intervention="takeover"))
     hyper = hyper_for(Method.HITL_FIX, Hyper()).replace(human_present=0.0)

@@ -57,15 +57,20 @@ def test_all_claims_can_hold():
     claims = _judge(
         srl=[{"rises_at": 600, "test_return": 200.0 + seed} for seed in range(5)],
         fix=[{"rises_at": 400, "test_return": 280.0 + seed} for seed in range(5)],
-        ac=[{"rises_at": 250, "test_return": 310.0 + seed, "assisted": 5.0} for seed in range(5)],
+        ac=[{"rises_at": 250, "test_return": 310.0 + seed, "assisted": 15.0} for seed in range(5)],
     )
     verdicts = {name: claim.verdict for name, claim in claims.items()}
     assert verdicts.pop("Alarms before falls") == "–"
     assert set(verdicts.values()) == {HOLDS}
     # Of 100 returns of 300 or -100, 75 of 300 make a mean of 200.
     speed = claims["Training speed (Figure 4)"].measured
-    assert speed == ("episode: HITL-AC 324 [324, 324], HITL-FIX 474 [474, 474], SRL 674 [674, 674]")
-    assert claims["Help in the test"].measured == "+5.00 [+5.00, +5.00] a seed"
+    assert speed == (
+        "episode: HITL-AC 324 [324, 324], HITL-FIX 474 [474, 474], SRL 674 [674, 674]; "
+        "so in 100 % of resamples of the seeds"
+    )
+    assert claims["Help in the test"].measured == (
+        "+15.0 [+15.0, +15.0]; above it by more than 1 in 5 of 5 seeds"
+    )
     assert claims["Alarms before falls"].measured == "5 of 10 falls; 0.20 s before it by the median"
     boundary = claims["The boundary (Figure 6)"].measured
     assert "for good from episode 300 on by the median (300 to 300)" in boundary
@@ -98,14 +103,19 @@ def test_what_the_seeds_do_not_decide_is_said():
     srl = [{"rises_at": 600, "test_return": 100.0}] * 5
     claims = _judge(srl, fix, ac)
     assert claims["How sure that order is"].verdict == UNDECIDED
-    assert claims["Help in the test"].verdict == UNDECIDED
+    assert claims["Skill without the human (Figure 5)"].verdict == UNDECIDED
 
 
 def _starts(**returns_and_work):
     """Runs by τ_0: a return and interventions, the same for five seeds but for a little."""
     return {
         label: [
-            {"test_return_mean": value + seed, "train_interventions": work} for seed in range(5)
+            {
+                "test_return_mean": value + seed,
+                "train_interventions": work,
+                "alarm_agreement": 0.5,
+            }
+            for seed in range(5)
         ]
         for label, (value, work) in returns_and_work.items()
     }
@@ -117,15 +127,28 @@ def test_claims_about_tau_0():
     assert [claim.verdict for claim in claims] == [HOLDS] * 3
     assert "from low: +200 [+200, +200]; from high: +40 [+40, +40]" in claims[0].measured
     assert claims[1].measured == "+50 [+50, +50] against τ_0 = high"
-    # (50 / 302) / (100 / 252)
-    assert claims[2].measured == "0.42 times [0.42, 0.42] those of τ_0 = high"
+    # 50 / 0.5 / 302 and 100 / 0.5 / 252
+    assert claims[2].measured.startswith("0.33 against 0.79 at τ_0 = high; fewer in 100 %")
     worse = judge_starts(fixed, _starts(low=(150.0, 300.0), high=(150.0, 300.0)), default="low")
     assert [claim.verdict for claim in worse] == [HOLDS_NOT] * 3
+    hopeless = judge_starts(fixed, _starts(low=(-90.0, 1.0), high=(-90.0, 1.0)), default="low")
+    assert hopeless[2].measured.startswith("inf against 0.79")
+    assert hopeless[2].verdict == HOLDS_NOT
 
 
-def test_a_method_without_runs_is_named():
-    with pytest.raises(ValueError, match="no finished run of hitl-fix, hitl-ac"):
-        judge(Results({"srl": [_run("srl", 0, 300, 200.0)]}, 0.45))
+def test_only_seeds_of_all_methods_count():
+    runs = {m: [_run(m, seed, 300, 200.0) for seed in range(5)] for m in ("srl", "hitl-fix")}
+    with pytest.raises(ValueError, match="0 seeds done in all methods, of at least 5"):
+        judge(Results(runs, 0.45))
+    runs["hitl-ac"] = [_run("hitl-ac", seed, 300, 200.0) for seed in range(1, 6)]
+    with pytest.raises(ValueError, match="4 seeds done in all methods"):
+        judge(Results(runs, 0.45))
+
+
+def test_a_boundary_that_never_settles_is_said_to():
+    ac = [{"rises_at": 300, "test_return": 310.0, "end": 0.49}] * 5
+    claims = _judge([{"rises_at": 300, "test_return": 200.0}] * 5, ac, ac)
+    assert "from episode never on" in claims["The boundary (Figure 6)"].measured
 
 
 def test_what_is_committed_is_what_the_data_give(tmp_path, monkeypatch):

@@ -46,6 +46,8 @@ def _each(option: str, values: tuple[float, ...], methods: tuple[Method, ...]) -
     return [Setting(f"{value:g}", {option: value}, methods) for value in values]
 
 
+_TRAINED = "results/ten_seeds/runs/hitl-fix/seed-0009/params.npz"
+
 _TAKEOVER: Changes = {"intervention": "takeover"}
 _NETWORK: Changes = {"boundary_source": "network"}
 _RESIDUAL: Changes = {"boundary_source": "residual"}
@@ -73,6 +75,7 @@ ABLATIONS: dict[str, Ablation] = {
             Setting("reset, truncated", {"human_reset_terminates": False}),
             Setting("takeover", _TAKEOVER),
             Setting("takeover, noisy hands", _TAKEOVER | {"human_action_noise": 0.3}),
+            Setting("takeover, trained hands", _TAKEOVER | {"human_policy": _TRAINED}),
             Setting("penalty", {"intervention": "penalty"}),
         ),
     ),
@@ -145,18 +148,18 @@ ABLATIONS: dict[str, Ablation] = {
         "Lapses and limited attention",
         (
             Setting("always there (default)", methods=_HUMAN),
-            Setting("misses 30 %", {"lapse_rate": 0.3}, _HUMAN),
+            Setting("misses 30 % of the steps", {"lapse_rate": 0.3}, _HUMAN),
             Setting("at most 100 interventions", {"max_interventions": 100}, _HUMAN),
             Setting("a rest of 500 steps", {"refractory_steps": 500}, _HUMAN),
         ),
     ),
     "arbiter": Ablation(
-        "Other arbiters with HITL-AC's human budget",
+        "Other arbiters; quantile, PID and random are given HITL-AC's rate of interventions",
         (
             Setting("Δ rule (default)"),
             Setting("fixed", methods=(Method.HITL_FIX,)),
-            Setting("quantile of |c|", {"boundary_source": "quantile", "target_rate": _BUDGET}),
-            Setting("PID on human control", {"boundary_source": "pid", "target_rate": _BUDGET}),
+            Setting("quantile", {"boundary_source": "quantile", "target_rate": _BUDGET}),
+            Setting("PID", {"boundary_source": "pid", "target_rate": _BUDGET}),
             Setting("random", _RANDOM, (Method.HITL_FIX,)),
             Setting("Δ rule, takeover", _TAKEOVER),
             Setting("Δ rule, takeover, hysteresis", _TAKEOVER | {"release": "hysteresis"}),

@@ -37,9 +37,16 @@ class RunId:
     digest: str
 
 
+_ADDED = {"release": "judgement", "release_share": 0.5, "target_rate": 1e-3}
+"""Options added since the first runs were kept, by the value that changes nothing."""
+
+
 def digest(parts: Parts, budget: dict[str, int]) -> str:
     """Twelve digits that differ when options or budget do."""
-    options = [dataclasses.asdict(part) for part in (parts.agent, parts.loop, parts.hyper)]
+    options = [
+        {k: v for k, v in dataclasses.asdict(part).items() if k not in _ADDED or v != _ADDED[k]}
+        for part in (parts.agent, parts.loop, parts.hyper)
+    ]
     asked = [*options, policy_digest(parts.human_policy), budget]
     return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:12]
 
@@ -53,10 +60,7 @@ class Store:
 
     def __init__(self, path: pathlib.Path):
         self.path = path
-        self._rows: dict[RunId, Row] = {}
-        if path.exists():
-            with named_errors(path):
-                self._rows = dict(map(_parse, _lines(path)))
+        self._rows = _read(path)
 
     def __contains__(self, run: RunId) -> bool:
         return run in self._rows
@@ -65,12 +69,12 @@ class Store:
         return self._rows[run]
 
     def add(self, run: RunId, row: Row) -> None:
-        """Adds a run, and writes the file.
+        """Adds a run, and writes the file, with what another process has added to it.
 
         Raises:
-            ResultsError: if it cannot be written.
+            ResultsError: if it cannot be read or written.
         """
-        self._rows[run] = row
+        self._rows = _read(self.path) | self._rows | {run: row}
         self.write()
 
     def write(self) -> None:
@@ -89,12 +93,14 @@ def _plain(row: Row) -> Row:
     return row | whole
 
 
-def _lines(path: pathlib.Path) -> list[dict[str, str]]:
-    with open(path, newline="") as file:
+def _read(path: pathlib.Path) -> dict[RunId, Row]:
+    if not path.exists():
+        return {}
+    with named_errors(path), open(path, newline="") as file:
         reader = csv.DictReader(file)
         if tuple(reader.fieldnames or ()) != _COLUMNS:
             raise ResultsError(f"{path}: is not a file of this command's runs")
-        return list(reader)
+        return dict(map(_parse, reader))
 
 
 def _parse(line: dict[str, str]) -> tuple[RunId, Row]:

@@ -33,6 +33,7 @@ _MEASURES = (
     ("assisted_return_mean", "assisted test return", 0),
     ("assisted_takeover_rate", "steps under the human in it", 3),
     ("train_interventions", "interventions", 0),
+    ("train_human_steps", "steps under the human", 0),
     ("alarm_agreement", "alarms confirmed", 2),
     ("final_boundary", "last boundary", 2),
 )

@@ -16,10 +16,13 @@ from hitl_jax.tables import METHODS, select
 
 _RESAMPLES = 2000
 _WALKS = 200.0  # A return that only a walker gets that walks well.
+_GOOD = 300.0
 _EARLY = 400  # The paper's episode at which HITL-AC improves.
 _NEAR = 0.05  # rad
 _SETTLED = 0.03  # rad
 _SURE = 0.8
+MARGIN = 10.0  # Points of return that do not matter.
+MIN_SEEDS = 5  # With fewer an interval is too narrow to decide anything.
 
 HOLDS, HOLDS_NOT, UNDECIDED = "holds", "does not hold", "not decided"
 
@@ -46,7 +49,7 @@ class Results(NamedTuple):
     """The runs of one learner.
 
     Attributes:
-        runs: finished runs by method, in the order of their seeds.
+        runs: finished runs by method.
         tolerance: hull angle from which the human sees danger [rad].
     """
 
@@ -57,12 +60,17 @@ class Results(NamedTuple):
 def judge(results: Results) -> list[Claim]:
     """All claims that a folder with the three methods can answer.
 
+    Only seeds count that all three methods have finished.
+
     Raises:
-        ValueError: if a method has no run.
+        ValueError: if there are fewer than `MIN_SEEDS` of them.
     """
-    missing = [method for method in METHODS if not results.runs.get(method)]
-    if missing:
-        raise ValueError(f"no finished run of {', '.join(missing)}")
+    by_seed = [{run.key.seed: run for run in results.runs.get(method, [])} for method in METHODS]
+    common = sorted(set.intersection(*map(set, by_seed)))
+    if len(common) < MIN_SEEDS:
+        raise ValueError(f"{len(common)} seeds done in all methods, of at least {MIN_SEEDS}")
+    runs = [[of[seed] for seed in common] for of in by_seed]
+    results = results._replace(runs=dict(zip(METHODS, runs, strict=True)))
     claims: list[Callable[[Results, np.random.Generator], Claim]] = [
         _speed,
         _skill,
@@ -76,52 +84,58 @@ def judge(results: Results) -> list[Claim]:
 
 
 def _speed(results: Results, rng: np.random.Generator) -> Claim:
-    passages = {}
-    cells = []
+    drawn = _resamples(results, rng)
+    passages, cells = [], []
     for method in METHODS:
         curves = np.array([trailing_returns(run) for run in results.runs[method]])
-        passage = _passage(stats.interquartile_mean(curves, 0))
-        low, high = _passage_interval(curves, rng)
-        passages[method] = passage
-        cells.append(f"{method.upper()} {_episode(passage)} [{_episode(low)}, {_episode(high)}]")
-    srl, fix, ac = (passages[method] for method in METHODS)
+        centre = _passage(curves)
+        passages.append(np.array([_passage(curves[seeds]) for seeds in drawn]))
+        # No interpolation: "never" is infinite.
+        low = np.quantile(passages[-1], 0.025, method="lower")
+        high = np.quantile(passages[-1], 0.975, method="higher")
+        cells.append(f"{method.upper()} {_episode(centre)} [{_episode(low)}, {_episode(high)}]")
+    srl, fix, ac = passages
+    verdict, share = _in_resamples((ac <= _EARLY) & (ac < fix) & (fix < srl))
     return Claim(
         "Training speed (Figure 4)",
         "HITL-AC improves near episode 400, HITL-FIX after 500, SRL is very poor for 800",
         f"the interquartile mean of HITL-AC's trailing-{WINDOW} returns passes {_WALKS:.0f} by "
         f"episode {_EARLY}, HITL-FIX's after it, SRL's after both",
-        "episode: " + ", ".join(reversed(cells)),
-        HOLDS if ac <= _EARLY and ac < fix < srl else HOLDS_NOT,
+        f"episode: {', '.join(reversed(cells))}; {share}",
+        verdict,
     )
 
 
 def _skill(results: Results, rng: np.random.Generator) -> Claim:
+    drawn = _resamples(results, rng)
     centres, cells = [], []
     for method in METHODS:
         scores = _scores(results, method)
-        centres.append(float(stats.interquartile_mean(scores, 0)))
-        low, high = stats.bootstrap_interval(scores, stats.interquartile_mean, rng)
-        mean_low, mean_high = stats.bootstrap_interval(scores, stats.mean, rng)
+        centre = float(stats.interquartile_mean(scores, 0))
+        centres.append(stats.interquartile_mean(scores[drawn], 1))
+        low, high = np.quantile(centres[-1], [0.025, 0.975])
+        mean_low, mean_high = np.quantile(scores[drawn].mean(1), [0.025, 0.975])
         cells.append(
-            f"{method.upper()} {centres[-1]:.0f} [{low:.0f}, {high:.0f}] "
+            f"{method.upper()} {centre:.0f} [{low:.0f}, {high:.0f}] "
             f"(mean {scores.mean():.0f} [{mean_low:.0f}, {mean_high:.0f}])"
         )
     srl, fix, ac = centres
+    verdict, share = _in_resamples((ac >= _GOOD) & (ac > fix) & (fix > srl))
     return Claim(
         "Skill without the human (Figure 5)",
         "over 100 test episodes HITL-AC 279.7, HITL-FIX 260.5, SRL below",
-        "interquartile means of the autonomous test return: HITL-AC at least 300, above HITL-FIX "
-        "with the same τ_0, above SRL",
-        ", ".join(reversed(cells)),
-        HOLDS if ac >= 300 and ac > fix > srl else HOLDS_NOT,
+        f"interquartile means of the autonomous test return: HITL-AC's at least {_GOOD:.0f} and "
+        "above that of HITL-FIX with the same τ_0, and HITL-FIX's above SRL's",
+        f"{', '.join(reversed(cells))}; {share}",
+        verdict,
     )
 
 
 def _improvement(results: Results, rng: np.random.Generator) -> Claim:
     cells, verdicts = [], []
     for x, y in (("hitl-ac", "hitl-fix"), ("hitl-fix", "srl")):
-        pairs = _paired(results, x, y)
-        p, low, high = stats.probability_of_improvement(pairs[:, 0], pairs[:, 1], rng)
+        better, worse = _scores(results, x), _scores(results, y)
+        p, low, high = stats.probability_of_improvement(better, worse, rng)
         cells.append(f"{x.upper()} over {y.upper()} {p:.2f} [{low:.2f}, {high:.2f}]")
         if p >= _SURE and low > 0.5:
             verdicts.append(HOLDS)
@@ -144,7 +158,9 @@ def _boundary(results: Results, rng: np.random.Generator) -> Claim:
         trace = run.episodes["final_boundary"]
         ends.append(trace[-1])
         away = np.flatnonzero(np.abs(trace - results.tolerance) > _SETTLED)
-        settled.append(away[-1] + 2 if away.size else 1)
+        settled.append(away[-1] + 2.0 if away.size else 1.0)
+        if settled[-1] > len(trace):
+            settled[-1] = np.inf
     near = np.abs(np.array(ends) - results.tolerance) <= _NEAR
     return Claim(
         "The boundary (Figure 6)",
@@ -152,8 +168,8 @@ def _boundary(results: Results, rng: np.random.Generator) -> Claim:
         f"for every seed, within {_NEAR} rad of the human's own threshold of "
         f"{results.tolerance:g} rad at the end of training",
         f"{near.sum()} of {near.size} seeds, from {min(ends):.3f} to {max(ends):.3f} rad; within "
-        f"{_SETTLED} rad for good from episode {np.median(settled):.0f} on by the median "
-        f"({min(settled)} to {max(settled)})",
+        f"{_SETTLED} rad for good from episode {_episode(np.median(settled))} on by the median "
+        f"({_episode(min(settled))} to {_episode(max(settled))})",
         HOLDS if near.all() else HOLDS_NOT,
     )
 
@@ -188,9 +204,10 @@ def _assistance(results: Results, rng: np.random.Generator) -> Claim:
     return Claim(
         "Help in the test",
         "the boundary guides the agent to seek the human's intervention",
-        "HITL-AC's assisted test return above its autonomous one",
-        f"{gain.mean():+.2f} [{low:+.2f}, {high:+.2f}] a seed",
-        HOLDS if low > 0 else HOLDS_NOT if high < 0 else UNDECIDED,
+        f"HITL-AC's mean assisted test return more than {MARGIN:.0f} above its autonomous one",
+        f"{gain.mean():+.1f} [{low:+.1f}, {high:+.1f}]; above it by more than 1 in "
+        f"{(gain > 1).sum()} of {gain.size} seeds",
+        HOLDS if low > MARGIN else HOLDS_NOT if high < MARGIN else UNDECIDED,
     )
 
 
@@ -219,18 +236,24 @@ def trailing_returns(run: Run) -> np.ndarray:
     return stats.trailing_mean(run.episodes["return"], WINDOW)
 
 
-def _passage(curve: np.ndarray) -> float:
-    episode = stats.first_passage(curve, _WALKS, WINDOW)
+def _passage(curves: np.ndarray) -> float:
+    """The episode at which the interquartile mean of curves [S, T] passes; infinite for never."""
+    centre = stats.interquartile_mean(curves, 0)
+    episode = stats.first_passage(centre, _WALKS, WINDOW)
     return np.inf if episode is None else float(episode)
 
 
-def _passage_interval(curves: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:
-    drawn = rng.integers(len(curves), size=(_RESAMPLES, len(curves)))
-    passages = [_passage(stats.interquartile_mean(curves[seeds], 0)) for seeds in drawn]
-    # No interpolation: "never" is infinite.
-    low = np.quantile(passages, 0.025, method="lower")
-    high = np.quantile(passages, 0.975, method="higher")
-    return float(low), float(high)
+def _resamples(results: Results, rng: np.random.Generator) -> np.ndarray:
+    """Seeds drawn with replacement, the same for all methods, [resamples, S]."""
+    seeds = len(results.runs[METHODS[0]])
+    return rng.integers(seeds, size=(_RESAMPLES, seeds))
+
+
+def _in_resamples(holds: np.ndarray) -> tuple[str, str]:
+    """A verdict from the share of resamples in which a claim holds, and that share in words."""
+    share = float(holds.mean())
+    verdict = HOLDS if share >= 0.975 else HOLDS_NOT if share <= 0.025 else UNDECIDED
+    return verdict, f"so in {100 * share:.0f} % of resamples of the seeds"
 
 
 def _episode(passage: float) -> str:
@@ -240,16 +263,6 @@ def _episode(passage: float) -> str:
 def _scores(results: Results, method: str) -> np.ndarray:
     rows = [summarise_run(run) for run in results.runs[method]]
     return np.array([row["test_return_mean"] for row in rows], float)
-
-
-def _paired(results: Results, x: str, y: str) -> np.ndarray:
-    """Test returns of the seeds that both methods have, [S, 2]."""
-    scores = [
-        dict(zip([run.key.seed for run in results.runs[m]], _scores(results, m), strict=True))
-        for m in (x, y)
-    ]
-    seeds = sorted(scores[0].keys() & scores[1].keys())
-    return np.array([[by_seed[seed] for by_seed in scores] for seed in seeds])
 
 
 def _least(verdicts: list[str]) -> str:

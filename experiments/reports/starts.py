@@ -3,12 +3,11 @@
 import numpy as np
 
 from experiments.ablations.store import Row
-from experiments.reports.claims import HOLDS, HOLDS_NOT, UNDECIDED, Claim
+from experiments.reports.claims import HOLDS, HOLDS_NOT, MARGIN, UNDECIDED, Claim
 from hitl_jax import stats
 
-_RETURN, _WORK = "test_return_mean", "train_interventions"
+_RETURN = "test_return_mean"
 _RESAMPLES = 2000
-_MARGIN = 10.0  # Points of return that do not matter.
 
 Starts = dict[str, list[Row]]
 """Runs of one method by the label of their τ_0."""
@@ -39,7 +38,8 @@ def _from_anywhere(fixed: Starts, learned: Starts) -> Claim:
     return Claim(
         "A learned boundary beats a fixed one from any τ_0",
         "HITL-AC above HITL-FIX, from one τ_0",
-        "mean autonomous test return of HITL-AC above HITL-FIX's, from every τ_0",
+        "mean autonomous test return of HITL-AC above HITL-FIX's, from every τ_0 (below the "
+        "human's own threshold no intervention depends on τ, and the two are one method)",
         "; ".join(cells),
         HOLDS_NOT if HOLDS_NOT in verdicts else UNDECIDED if UNDECIDED in verdicts else HOLDS,
     )
@@ -50,32 +50,36 @@ def _no_worse_than_the_best(fixed: list[Row], learned: list[Row], best: str) -> 
     return Claim(
         "It is no worse than the best fixed one",
         "–",
-        f"mean autonomous test return of HITL-AC, from its default τ_0, not {_MARGIN:g} below that "
+        f"mean autonomous test return of HITL-AC, from its default τ_0, not {MARGIN:g} below that "
         "of HITL-FIX at the best τ_0 of the table",
         f"{gain:+.0f} [{low:+.0f}, {high:+.0f}] against τ_0 = {best}",
-        HOLDS if low > -_MARGIN else HOLDS_NOT if high < -_MARGIN else UNDECIDED,
+        HOLDS if low > -MARGIN else HOLDS_NOT if high < -MARGIN else UNDECIDED,
     )
 
 
 def _less_work(fixed: list[Row], learned: list[Row], best: str) -> Claim:
-    def cost(runs: list[Row], seeds: np.ndarray) -> np.ndarray:
-        work, gained = (_values(runs, name)[seeds].mean(-1) for name in (_WORK, _RETURN))
-        return work / np.where(gained > 0, gained, np.nan)
-
-    rng = np.random.default_rng(0)
-    drawn = rng.integers(len(fixed), size=(_RESAMPLES, len(fixed)))
-    ratios = cost(learned, drawn) / cost(fixed, drawn)
+    drawn = np.random.default_rng(0).integers(len(fixed), size=(_RESAMPLES, len(fixed)))
     everyone = np.arange(len(fixed))
-    ratio = float(cost(learned, everyone) / cost(fixed, everyone))
-    low, high = np.nanquantile(ratios, [0.025, 0.975])
+    costs = [[_cost(runs, seeds) for runs in (learned, fixed)] for seeds in (everyone, drawn)]
+    (ours, theirs), (our_draws, their_draws) = costs
+    fewer = float((our_draws < their_draws).mean())
     return Claim(
         "Less human work",
         "–",
-        "HITL-AC's interventions for a point of autonomous test return fewer than HITL-FIX's at "
-        "the best τ_0 of the table",
-        f"{ratio:.2f} times [{low:.2f}, {high:.2f}] those of τ_0 = {best}",
-        HOLDS if high < 1 else HOLDS_NOT if low > 1 else UNDECIDED,
+        "alarms that HITL-AC's human has to judge for a point of autonomous test return fewer than "
+        "HITL-FIX's at the best τ_0 of the table",
+        f"{ours:.2f} against {theirs:.2f} at τ_0 = {best}; fewer in {100 * fewer:.0f} % of "
+        "resamples of the seeds",
+        HOLDS if fewer >= 0.975 else HOLDS_NOT if fewer <= 0.025 else UNDECIDED,
     )
+
+
+def _cost(runs: list[Row], seeds: np.ndarray) -> np.ndarray:
+    """Alarms over return, of the mean over some seeds [..., S]; infinite without any return."""
+    # Each confirmed alarm is an intervention; with the default, reset, there are no others.
+    alarms = _values(runs, "train_interventions") / _values(runs, "alarm_agreement")
+    work, gained = alarms[seeds].mean(-1), _values(runs, _RETURN)[seeds].mean(-1)
+    return np.where(gained > 0, work / np.maximum(gained, 1e-9), np.inf)
 
 
 def _difference(
