@@ -226,6 +226,12 @@ def write_ablation(name: str, options: AblationOptions, store: Store) -> str:
         f"Seeds {options.first_seed} to {last}, {options.episodes} training episodes, "
         f"{options.test_episodes} test episodes each way."
     )
+    done = sum(len(line.runs) for line in lines)
+    asked = options.seeds * sum(len(setting.methods) for setting in ABLATIONS[name].settings)
+    if done < asked:
+        budget += (
+            f"\n\n**Under way**: {done} of {asked} runs; those that end first are no fair choice."
+        )
     rng = np.random.default_rng(_STATISTICS_SEED)
     title = ABLATIONS[name].title
     text = to_markdown(title, budget, lines, rng)

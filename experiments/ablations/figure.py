@@ -9,6 +9,7 @@ from matplotlib.lines import Line2D
 
 from experiments.ablations.table import Line
 from hitl_jax import figures, stats
+from hitl_jax.tables import METHODS
 
 _PANELS = (
     ("test_return_mean", "autonomous test return"),
@@ -26,7 +27,7 @@ def draw(title: str, lines: list[Line], rng: np.random.Generator) -> matplotlib.
         rng: drawn from for the intervals.
     """
     labels = list(dict.fromkeys(line.label for line in lines))
-    methods = list(dict.fromkeys(line.method for line in lines))
+    methods = [method for method in METHODS if any(line.method == method for line in lines)]
     figure = matplotlib.figure.Figure(
         figsize=(_WIDTH, _MARGIN + _LINE_HEIGHT * len(labels) * (1 + 0.6 * (len(methods) - 1))),
         layout="constrained",
