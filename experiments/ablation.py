@@ -24,6 +24,7 @@ from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
 from experiments.progress import Progress
 from experiments.training import Plant, make_team, train_and_test
+from hitl_jax import stats
 from hitl_jax.config import Method, hyper_for, require
 from hitl_jax.files import ResultsError, write_text_atomic
 from hitl_jax.provenance import git_commit, short_commit
@@ -31,9 +32,6 @@ from hitl_jax.results import Run, RunKey
 from hitl_jax.rollout import FinishedRun, Rollout, RunSpec, num_slots
 from hitl_jax.summary import summarise_run
 from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS, to_columns, to_table
-
-_STATISTICS_SEED = 0
-"""Seed of the bootstrap: the same data give the same intervals."""
 
 _SLOTS = 32
 _BACKEND = "lean"
@@ -232,7 +230,7 @@ def write_ablation(name: str, options: AblationOptions, store: Store) -> str:
         budget += (
             f"\n\n**Under way**: {done} of {asked} runs; those that end first are no fair choice."
         )
-    rng = np.random.default_rng(_STATISTICS_SEED)
+    rng = np.random.default_rng(stats.SEED)
     title = ABLATIONS[name].title
     text = to_markdown(title, budget, lines, rng)
     write_text_atomic(store.path.parent / f"{name}.md", text)

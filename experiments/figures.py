@@ -8,11 +8,9 @@ import numpy as np
 import tyro
 
 from experiments.cli import BadInput, run_main
+from hitl_jax import stats
 from hitl_jax.figures import draw_all
 from hitl_jax.results import ResultsError, ResultsFolder
-
-_BOOTSTRAP_SEED = 0
-"""Fixed, so that the same results give the same bands."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +38,7 @@ def main(options: Options) -> int:
     """
     try:
         folder = ResultsFolder(options.results)
-        paths, notes = draw_all(folder, np.random.default_rng(_BOOTSTRAP_SEED))
+        paths, notes = draw_all(folder, np.random.default_rng(stats.SEED))
     except ResultsError as error:
         raise BadInput(str(error)) from error
     if not paths:

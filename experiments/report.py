@@ -18,15 +18,13 @@ from experiments.ablations.store import Store
 from experiments.cli import BadInput, run_main
 from experiments.reports.claims import Claim, Results, judge
 from experiments.reports.starts import judge_starts
+from hitl_jax import stats
 from hitl_jax.config import Method
 from hitl_jax.figures import draw_all
 from hitl_jax.files import ResultsError, write_text_atomic
 from hitl_jax.provenance import short_commit
 from hitl_jax.results import ResultsFolder, Run
 from hitl_jax.summary import write_summary
-
-_STATISTICS_SEED = 0
-"""Seed of the bootstrap: the same data give the same intervals."""
 
 _STARTS = "initial-boundary"
 _COMPARED = (Method.HITL_FIX, Method.HITL_AC)
@@ -105,8 +103,8 @@ def _comparison(comparison: _Comparison, root: pathlib.Path) -> str:
     title = f"## The three methods with `--learner {comparison.learner}`\n"
     if not folder.path.exists():
         return f"{title}\nNot run yet.\n"
-    write_summary(folder, np.random.default_rng(_STATISTICS_SEED))
-    draw_all(folder, np.random.default_rng(_STATISTICS_SEED))
+    write_summary(folder, np.random.default_rng(stats.SEED))
+    draw_all(folder, np.random.default_rng(stats.SEED))
     runs: dict[str, list[Run]] = {}
     for run in folder.load_all():
         runs.setdefault(run.key.method, []).append(run)

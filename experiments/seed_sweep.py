@@ -21,7 +21,7 @@ from experiments.compile_cache import keep_programs
 from experiments.options import SweepOptions
 from experiments.progress import Progress
 from experiments.training import Plant, make_team, policy_digest, train_and_test
-from hitl_jax import checkpoint, figures
+from hitl_jax import checkpoint, figures, stats
 from hitl_jax.agent import Agent
 from hitl_jax.config import Method, hyper_for
 from hitl_jax.devices import learning_devices
@@ -38,9 +38,6 @@ FIRST_FIGURES_SECONDS = 100.0
 FIGURES_SECONDS = 300.0
 FIGURES_NICE = 10
 """Added to the process's own: a drawing must not keep walkers waiting."""
-
-STATISTICS_SEED = 0
-"""Seed of the bootstrap: the same data give the same intervals."""
 
 
 def main(options: SweepOptions) -> int:
@@ -215,8 +212,8 @@ def _config(options: SweepOptions) -> dict[str, Any]:
 
 def _draw(folder: ResultsFolder) -> list[Any]:
     """Writes summary and figures; the paths written, and notes on what could not be drawn."""
-    tables = write_summary(folder, np.random.default_rng(STATISTICS_SEED))
-    paths, notes = figures.draw_all(folder, np.random.default_rng(STATISTICS_SEED))
+    tables = write_summary(folder, np.random.default_rng(stats.SEED))
+    paths, notes = figures.draw_all(folder, np.random.default_rng(stats.SEED))
     return [*tables, *paths, *notes]
 
 

@@ -160,7 +160,7 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         )
 
     # Hyperparameters go in and do not come out.
-    act_all = jax.jit(functools.partial(_act_all, agent), donate_argnums=0)
+    act_all = jax.jit(jax.vmap(functools.partial(_act_packed, agent)), donate_argnums=0)
     learn_all = jax.jit(functools.partial(_learn_all, agent, num_updates, tile), donate_argnums=0)
 
     def act(
@@ -233,7 +233,7 @@ def flags_of(decided: np.ndarray, layout: replay.Layout) -> dict[str, np.ndarray
     return dict(zip(EXTRA_COLUMNS, decided[:, layout.width :].T > 0.5, strict=True))
 
 
-def _act_all(
+def _act_packed(
     agent: Agent,
     state: chex.Array,
     hyper: chex.Array,
@@ -241,18 +241,10 @@ def _act_all(
     observation: chex.Array,
     live: chex.Array,
 ) -> tuple[chex.Array, chex.Array]:
-    def step(
-        state: chex.Array,
-        hyper: chex.Array,
-        params: Behavior,
-        observation: chex.Array,
-        live: chex.Array,
-    ) -> tuple[chex.Array, chex.Array]:
-        before, settings = unpack(_some_acting(agent), state), unpack(_SOME_HYPER, hyper)
-        after, decided = act_or_begin(agent, settings, params, before, observation, live)
-        return pack(after), decided
-
-    return jax.vmap(step)(state, hyper, params, observation, live)
+    """`act_or_begin` with acting state and hyperparameters packed."""
+    before, settings = unpack(_some_acting(agent), state), unpack(_SOME_HYPER, hyper)
+    after, decided = act_or_begin(agent, settings, params, before, observation, live)
+    return pack(after), decided
 
 
 def _some_acting(agent: Agent) -> ActingState:

@@ -16,6 +16,9 @@ import numpy as np
 Statistic = Callable[[np.ndarray, int], np.ndarray]
 """Maps (values, axis) to the values with that axis reduced."""
 
+SEED = 0
+"""Of the generators that commands draw intervals from: the same data give the same intervals."""
+
 _CHUNK_ELEMENTS = 2_000_000
 """Elements of resampled values held at once: 16 MB, so that long curves need little memory."""
 

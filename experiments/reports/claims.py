@@ -11,10 +11,10 @@ import numpy as np
 
 from hitl_jax import stats
 from hitl_jax.results import Run
-from hitl_jax.summary import WINDOW, summarise_run
+from hitl_jax.summary import STEPS_PER_SECOND, WINDOW, summarise_run
 from hitl_jax.tables import METHODS, select
 
-_RESAMPLES = 2000
+RESAMPLES = 2000
 _WALKS = 200.0  # A return that only a walker gets that walks well.
 _GOOD = 300.0
 _EARLY = 400  # The paper's episode at which HITL-AC improves.
@@ -87,7 +87,7 @@ def _speed(results: Results, rng: np.random.Generator) -> Claim:
     drawn = _resamples(results, rng)
     passages, cells = [], []
     for method in METHODS:
-        curves = np.array([trailing_returns(run) for run in results.runs[method]])
+        curves = np.array([_trailing_returns(run) for run in results.runs[method]])
         centre = _passage(curves)
         passages.append(np.array([_passage(curves[seeds]) for seeds in drawn]))
         # No interpolation: "never" is infinite.
@@ -221,7 +221,7 @@ def _foresight(results: Results, rng: np.random.Generator) -> Claim:
         falls += lead.size
         warned += int((~np.isnan(lead)).sum())
         leads += lead[~np.isnan(lead)].tolist()
-    time = f"; {np.median(leads) / 50:.2f} s before it by the median" if leads else ""
+    time = f"; {np.median(leads) / STEPS_PER_SECOND:.2f} s before it by the median" if leads else ""
     return Claim(
         "Alarms before falls",
         "–",
@@ -231,7 +231,7 @@ def _foresight(results: Results, rng: np.random.Generator) -> Claim:
     )
 
 
-def trailing_returns(run: Run) -> np.ndarray:
+def _trailing_returns(run: Run) -> np.ndarray:
     """Mean of the last returns at each training episode, [T]."""
     return stats.trailing_mean(run.episodes["return"], WINDOW)
 
@@ -246,7 +246,7 @@ def _passage(curves: np.ndarray) -> float:
 def _resamples(results: Results, rng: np.random.Generator) -> np.ndarray:
     """Seeds drawn with replacement, the same for all methods, [resamples, S]."""
     seeds = len(results.runs[METHODS[0]])
-    return rng.integers(seeds, size=(_RESAMPLES, seeds))
+    return rng.integers(seeds, size=(RESAMPLES, seeds))
 
 
 def _in_resamples(holds: np.ndarray) -> tuple[str, str]:

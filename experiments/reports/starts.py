@@ -3,11 +3,10 @@
 import numpy as np
 
 from experiments.ablations.store import Row
-from experiments.reports.claims import HOLDS, HOLDS_NOT, MARGIN, UNDECIDED, Claim
+from experiments.reports.claims import HOLDS, HOLDS_NOT, MARGIN, RESAMPLES, UNDECIDED, Claim
 from hitl_jax import stats
 
 _RETURN = "test_return_mean"
-_RESAMPLES = 2000
 
 Starts = dict[str, list[Row]]
 """Runs of one method by the label of their τ_0."""
@@ -58,7 +57,7 @@ def _no_worse_than_the_best(fixed: list[Row], learned: list[Row], best: str) -> 
 
 
 def _less_work(fixed: list[Row], learned: list[Row], best: str) -> Claim:
-    drawn = np.random.default_rng(0).integers(len(fixed), size=(_RESAMPLES, len(fixed)))
+    drawn = np.random.default_rng(0).integers(len(fixed), size=(RESAMPLES, len(fixed)))
     everyone = np.arange(len(fixed))
     costs = [[_cost(runs, seeds) for runs in (learned, fixed)] for seeds in (everyone, drawn)]
     (ours, theirs), (our_draws, their_draws) = costs
