@@ -99,5 +99,5 @@ class SweepOptions:
             has = getattr(AgentConfig(), name)
             require(name, getattr(self.agent, name), at_least=has, at_most=has)
         require("n_step", self.agent.n_step, at_most=self.loop.frames // 2)
-        self.loop.num_updates(self.agent.policy_delay)
+        self.loop.num_updates(self.agent.task_learner.policy_delay)
         return self

@@ -47,6 +47,7 @@ CONFIGURATIONS: dict[str, Changes] = {
     "64-batch-64-norm-quiet": _QUIET | {"hidden_sizes": (64, 64)},
     "128-batch-64-norm-quiet-lr-5e-4": _QUIET | _SLOW,
     "128-batch-64-norm-quiet-n-8": _QUIET | {"n_step": 8},
+    "128-batch-64-norm-quiet-tqc": _QUIET | {"learner": "td3-tqc"},
 }
 """What each configuration changes of `_BASE`, by the names of the options."""
 

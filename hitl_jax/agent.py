@@ -49,7 +49,7 @@ class Agent(NamedTuple):
     @property
     def critic(self) -> networks.Critics:
         """Q."""
-        return self._critics(self.config.num_critics)
+        return self._critics(self.config.task_learner.num_critics)
 
     @property
     def first_critic(self) -> networks.Critics:
@@ -58,7 +58,8 @@ class Agent(NamedTuple):
 
     def _critics(self, num_critics: int) -> networks.Critics:
         config = self.config
-        return networks.Critics(config.hidden_sizes, num_critics, config.layer_norm)
+        quantiles = config.task_learner.num_quantiles
+        return networks.Critics(config.hidden_sizes, num_critics, config.layer_norm, quantiles)
 
     @property
     def boundary_actor(self) -> networks.BoundaryActor:
@@ -161,20 +162,21 @@ def update(
         state: the run's training state.
         batch: minibatch, leading axis B.
         noise: standard normal ε of the target smoothing, [B, A]; DDPG does not look at it.
-        update_actor: static; DDPG gives True at every update, TD3 at every second.
+        update_actor: static; True at one update in `policy_delay`.
 
     Returns:
         The next state and metrics, each [].
     """
     learner = state.learner
+    rules = agent.config.task_learner
     next_action = agent.actor.apply(learner.target_actor, batch.next_observation)
-    if agent.config.smooths_target:
+    if rules.smooths_target:
         next_action = losses.smoothed_action(
             next_action, noise, hyper.target_noise, hyper.target_noise_clip
         )
     next_q = agent.critic.apply(learner.target_critic, batch.next_observation, next_action)
-    target = losses.target_q(batch.reward, batch.discount, next_q)
-    grads, metrics = jax.grad(losses.critic_loss, has_aux=True)(
+    target = rules.target(batch.reward, batch.discount, next_q)
+    grads, metrics = jax.grad(rules.critic_loss, has_aux=True)(
         learner.critic, agent.critic.apply, batch, target
     )
     critic, critic_optimizer = _descend(
@@ -265,15 +267,14 @@ def learn(
         ValueError: at trace time, if `num_updates` is no multiple of the policy delay.
     """
     config = agent.config
-    if num_updates % config.policy_delay:
-        raise ValueError(
-            f"{num_updates} updates are no multiple of the policy delay {config.policy_delay}"
-        )
+    delay = config.task_learner.policy_delay
+    if num_updates % delay:
+        raise ValueError(f"{num_updates} updates are no multiple of the policy delay {delay}")
 
     key, sample_key, noise_key, boundary_key = jax.random.split(state.key, 4)
     # Everything random is drawn at once: a generator is many small kernels, whatever it draws. Rows
     # are read at each update: read at once, XLA would find their places anew for every number.
-    shape = (num_updates // config.policy_delay, config.policy_delay, config.batch_size)
+    shape = (num_updates // delay, delay, config.batch_size)
     drawn = replay.draw(
         memory,
         agent.layout,
@@ -292,10 +293,10 @@ def learn(
     def several(
         state: TrainState, given: tuple[replay.Draw, chex.Array]
     ) -> tuple[TrainState, None]:
-        for index in range(config.policy_delay):
+        for index in range(delay):
             draw, draw_noise = jax.tree.map(operator.itemgetter(index), given)
             batch = replay.read(memory, agent.layout, column, draw)
-            last = index == config.policy_delay - 1
+            last = index == delay - 1
             state, _metrics = update(agent, hyper, state, batch, draw_noise, update_actor=last)
         return state, None
 

@@ -14,8 +14,8 @@ from flax import struct
 
 from hitl_jax.human import DANGER_MODELS, HumanParams, validate_human_params
 from hitl_jax.indicator import INDICATORS
+from hitl_jax.learners import LEARNERS, Learner
 
-LEARNERS = ("ddpg", "td3")
 BOUNDARY_SOURCES = ("network", "residual", "rule", "quantile", "pid")
 INTERVENTIONS = ("reset", "takeover", "penalty")
 RELEASES = ("judgement", "hysteresis")
@@ -35,7 +35,8 @@ class AgentConfig:
     """Static choices: another value means another compiled program.
 
     Attributes:
-        learner: `ddpg` (one critic, plain target) or `td3` (two, smoothed target, delayed actor).
+        learner: `ddpg` (one critic, plain target), `td3` (two, smoothed target, delayed actor) or
+            `td3-tqc` (as `td3`, the critics learn quantiles of the return).
         hidden_sizes: widths of the task networks' hidden layers.
         layer_norm: whether the task critics normalise their hidden layers.
         batch_size: transitions in a minibatch of the task learner.
@@ -77,7 +78,7 @@ class AgentConfig:
 
     def __post_init__(self) -> None:
         """Checks every choice; ValueError names the option, the value and what is allowed."""
-        _one_of("learner", self.learner, LEARNERS)
+        _one_of("learner", self.learner, tuple(LEARNERS))
         _one_of("boundary-source", self.boundary_source, BOUNDARY_SOURCES)
         _one_of("indicator", self.indicator, tuple(INDICATORS))
         _one_of("danger", self.danger, tuple(DANGER_MODELS))
@@ -98,19 +99,9 @@ class AgentConfig:
                 raise ValueError(f"{_option(name)} {sizes}: at least one layer, each of 1 or more")
 
     @property
-    def num_critics(self) -> int:
-        """Critics of the task learner: TD3 takes the smaller of two."""
-        return 2 if self.learner == "td3" else 1
-
-    @property
-    def policy_delay(self) -> int:
-        """Critic updates to one actor update."""
-        return 2 if self.learner == "td3" else 1
-
-    @property
-    def smooths_target(self) -> bool:
-        """Whether noise is added to the target action."""
-        return self.learner == "td3"
+    def task_learner(self) -> Learner:
+        """What the learner's name stands for."""
+        return LEARNERS[self.learner]
 
 
 @struct.dataclass

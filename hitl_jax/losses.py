@@ -4,6 +4,7 @@ The differentiated parameters come first; a loss returns `(loss, metrics)`.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import chex
 import jax
@@ -12,6 +13,18 @@ import jax.numpy as jnp
 from hitl_jax.types import Params, Transition
 
 Metrics = dict[str, chex.Array]
+
+
+class Atoms(NamedTuple):
+    """A distribution of returns at finitely many points.
+
+    Attributes:
+        value: the points, [B, M].
+        weight: how much each counts, [B, M]; rows sum to 1.
+    """
+
+    value: chex.Array
+    weight: chex.Array
 
 
 def target_q(reward: chex.Array, discount: chex.Array, next_q: chex.Array) -> chex.Array:
@@ -74,6 +87,64 @@ def critic_loss(
     return loss, {"critic_loss": loss, "q": jnp.mean(q)}
 
 
+def target_quantiles(
+    reward: chex.Array, discount: chex.Array, next_quantiles: chex.Array, num_dropped: int
+) -> Atoms:
+    """TD targets of a return distribution, the largest of the pooled quantiles left out.
+
+    y_j = R + discount · z_j over the pooled quantiles z of all critics but the `num_dropped`
+    largest, of equal weight (https://arxiv.org/abs/2005.04269, eq. 7 to 9), without a gradient.
+
+    Args:
+        reward: n-step reward, [B].
+        discount: γ^m · (1 − terminated), [B].
+        next_quantiles: target critics at the next observation, [E, B, Q].
+        num_dropped: static, less than E · Q.
+
+    Returns:
+        The targets and their weights.
+    """
+    chex.assert_rank([reward, discount, next_quantiles], [1, 1, 3])
+    num_critics, batch, num_quantiles = next_quantiles.shape
+    pooled = jnp.moveaxis(next_quantiles, 1, 0).reshape(batch, num_critics * num_quantiles)
+    kept = jnp.ones_like(pooled)
+    for _ in range(num_dropped):  # A sort would take longer.
+        largest = jnp.argmax(jnp.where(kept > 0, pooled, -jnp.inf), axis=1, keepdims=True)
+        kept = jnp.where(jnp.arange(pooled.shape[1]) == largest, 0.0, kept)
+    value = reward[:, None] + discount[:, None] * pooled
+    weight = kept / (pooled.shape[1] - num_dropped)
+    return Atoms(*jax.lax.stop_gradient((value, weight)))
+
+
+def quantile_loss(
+    critic: Params,
+    apply: Callable[[Params, chex.Array, chex.Array], chex.Array],
+    transition: Transition,
+    target: Atoms,
+) -> tuple[chex.Array, Metrics]:
+    """Quantile Huber loss, summed over critics (https://arxiv.org/abs/2005.04269, eq. 10 to 12).
+
+    Args:
+        critic: parameters of the stacked critics.
+        apply: maps (parameters, [B, O], [B, A]) to quantiles [E, B, Q].
+        transition: minibatch, leading axis B.
+        target: y.
+
+    Returns:
+        The loss [] and metrics `q` (mean value) and `critic_loss`.
+    """
+    quantiles = apply(critic, transition.observation, transition.action)
+    chex.assert_rank([quantiles, target.value], [3, 2])
+    count = quantiles.shape[-1]
+    level = (jnp.arange(count) + 0.5) / count
+    error = target.value[:, None, :] - quantiles[..., None]  # [E, B, Q, M]
+    huber = jnp.where(jnp.abs(error) < 1.0, 0.5 * jnp.square(error), jnp.abs(error) - 0.5)
+    tilt = jnp.abs(level[:, None] - (error < 0.0))
+    each = jnp.sum(tilt * huber * target.weight[:, None, :], axis=-1)
+    loss = jnp.sum(jnp.mean(each, axis=(1, 2)))
+    return loss, {"critic_loss": loss, "q": jnp.mean(quantiles)}
+
+
 def actor_loss(
     actor: Params,
     apply_actor: Callable[[Params, chex.Array], chex.Array],
@@ -86,7 +157,8 @@ def actor_loss(
     Args:
         actor: parameters of μ.
         apply_actor: maps (parameters, [B, O]) to actions [B, A].
-        apply_critic: maps (parameters of one critic, [B, O], [B, A]) to values [1, B].
+        apply_critic: maps (parameters of one critic, [B, O], [B, A]) to values [1, B], or
+            quantiles [1, B, Q], whose mean is the value.
         critic: parameters of the stacked critics; only the first critic is followed, as in TD3.
         observation: [B, O].
 

@@ -96,15 +96,17 @@ class Critics(nn.Module):
         hidden_sizes: widths of the hidden layers.
         num_critics: E.
         layer_norm: whether hidden layers are normalised before their nonlinearity.
+        num_quantiles: Q, quantiles of the return; None for its mean.
     """
 
     hidden_sizes: Sequence[int]
     num_critics: int
     layer_norm: bool
+    num_quantiles: int | None = None
 
     @nn.compact
     def __call__(self, observation: chex.Array, action: chex.Array) -> chex.Array:
-        """Maps observations [B, O] and actions [B, A] to values [E, B]."""
+        """Maps observations [B, O] and actions [B, A] to values [E, B] or quantiles [E, B, Q]."""
         chex.assert_rank([observation, action], 2)
         x = jnp.concatenate([observation, action], axis=-1)
         for size in self.hidden_sizes:
@@ -113,7 +115,9 @@ class Critics(nn.Module):
                 # With the axis of critics apart, XLA sums slowly where there is one critic.
                 x = layer_norm(x.reshape(-1, size)).reshape(x.shape)
             x = nn.relu(x)
-        return _StackedDense(self.num_critics, 1)(x)[..., 0]
+        if self.num_quantiles is None:
+            return _StackedDense(self.num_critics, 1)(x)[..., 0]
+        return _StackedDense(self.num_critics, self.num_quantiles)(x)
 
 
 class BoundaryActor(nn.Module):

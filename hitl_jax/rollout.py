@@ -183,7 +183,7 @@ class Rollout:
         self._devices = learning_devices()
         self._share = slots // len(self._devices)
         _check(agent, pool, config)
-        self._num_updates = config.num_updates(agent.config.policy_delay)
+        self._num_updates = config.num_updates(agent.config.task_learner.policy_delay)
         self._programs = batch.make_programs(
             agent, self._num_updates, default_tile(slots) if tile is None else tile
         )

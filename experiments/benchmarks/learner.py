@@ -35,12 +35,13 @@ def update_flops(config: AgentConfig) -> float:
 
     observations, actions = config.observation_size, config.action_size
     actor = layers(observations, actions)
-    critic = layers(observations + actions, 1)
-    target = sum(actor) + config.num_critics * sum(critic)
-    critics = config.num_critics * (3 * sum(critic) - critic[0])
+    learner = config.task_learner
+    critic = layers(observations + actions, learner.num_quantiles or 1)
+    target = sum(actor) + learner.num_critics * sum(critic)
+    critics = learner.num_critics * (3 * sum(critic) - critic[0])
     to_action = sum(critic[1:]) + actions * config.hidden_sizes[0]
     policy = (3 * sum(actor) - actor[0]) + sum(critic) + to_action
-    return 2.0 * config.batch_size * (target + critics + policy / config.policy_delay)
+    return 2.0 * config.batch_size * (target + critics + policy / learner.policy_delay)
 
 
 def measure_product(seconds: float) -> float:
