@@ -152,7 +152,7 @@ def _run_group(
     with contextlib.closing(
         train_and_test(agent, list(runs), program.loop, plant, watch)
     ) as tested:
-        for finished, tests in tested:
+        for finished, tests, _ in tested:
             run = runs[finished.run.spec]
             row = _summary(finished, tests)
             store.add(run, row | {"commit": commit})

@@ -33,6 +33,7 @@ _FIGURES = {
     "figure4_training": "training return over episodes",
     "figure4_steps": "the same over environment steps",
     "figure5_test": "test episodes",
+    "figure5_progress": "autonomous tests during training",
     "figure6_boundary": "the boundary",
     "figure7_human": "the human's work",
 }
@@ -117,7 +118,11 @@ def _comparison(comparison: _Comparison, root: pathlib.Path) -> str:
     except ValueError as error:
         return f"{title}\nUnder way: {error}.\n"
     name = comparison.folder
-    figures = "".join(f"![{text}]({name}/figures/{stem}.png)\n" for stem, text in _FIGURES.items())
+    figures = "".join(
+        f"![{text}]({name}/figures/{stem}.png)\n"
+        for stem, text in _FIGURES.items()
+        if (folder.path / "figures" / f"{stem}.png").exists()
+    )
     return (
         f"{title}\nSeeds: {seeds}; {config['episodes']} training episodes and "
         f"{config['test_episodes']} test episodes each. Commit {made}. Options, versions, time and "

@@ -20,19 +20,20 @@ from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
 from experiments.options import SweepOptions
 from experiments.progress import Progress
-from experiments.training import Plant, make_team, policy_digest, train_and_test
+from experiments.training import Plant, Tested, make_team, policy_digest, train_and_test
 from hitl_jax import checkpoint, figures, stats
 from hitl_jax.agent import Agent
 from hitl_jax.config import Method, hyper_for
 from hitl_jax.devices import learning_devices
 from hitl_jax.envs import make_pool
-from hitl_jax.episodes import ALARM_WINDOW, Row
+from hitl_jax.episodes import ALARM_WINDOW
+from hitl_jax.evaluation import milestones
 from hitl_jax.files import ResultsError
 from hitl_jax.provenance import git_commit, versions
 from hitl_jax.results import ResultsFolder, RunKey
-from hitl_jax.rollout import FinishedRun, Rollout, RunSpec, num_slots
+from hitl_jax.rollout import Rollout, RunSpec, num_slots
 from hitl_jax.summary import write_summary
-from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS, to_columns
+from hitl_jax.tables import EPISODE_COLUMNS, PROGRESS_COLUMNS, TEST_COLUMNS, to_columns
 
 FIRST_FIGURES_SECONDS = 100.0
 FIGURES_SECONDS = 300.0
@@ -66,7 +67,13 @@ def main(options: SweepOptions) -> int:
         print(f"{options.out} was begun with other code: {', '.join(changed)}", flush=True)
     seeds = range(options.first_seed, options.first_seed + scale.seeds)
     wanted = [
-        RunSpec(method, seed, hyper_for(method, options.hyper), scale.episodes)
+        RunSpec(
+            method,
+            seed,
+            hyper_for(method, options.hyper),
+            scale.episodes,
+            milestones(scale.episodes),
+        )
         for seed in seeds
         for method in map(Method, options.methods)
     ]
@@ -131,8 +138,8 @@ class _Sweep:
             )
             tested = train_and_test(self._agent, self._specs, options.loop, plant, self._watch)
             with contextlib.closing(tested):
-                for finished, tests in tested:
-                    self._finish(finished, tests)
+                for run in tested:
+                    self._finish(run)
         if self._drawing is not None:
             self._drawing.wait()
 
@@ -154,8 +161,9 @@ class _Sweep:
             self._drawing.terminate()
             self._drawing.wait()
 
-    def _finish(self, finished: FinishedRun, tests: list[Row]) -> None:
+    def _finish(self, tested: Tested) -> None:
         """Writes a trained and tested run."""
+        finished, tests, progress = tested
         run = finished.run
         spec = run.spec
         info = {
@@ -173,6 +181,7 @@ class _Sweep:
             to_columns(tests, TEST_COLUMNS),
             arrays,
             info,
+            to_columns(progress, PROGRESS_COLUMNS),
         )
         self._folder.remove_partial(key)
         self._progress.finish(run)

@@ -12,7 +12,7 @@ from hitl_jax.agent import Agent, make_agent
 from hitl_jax.config import AgentConfig, Method
 from hitl_jax.envs import WalkerPool, make_pool
 from hitl_jax.episodes import Row
-from hitl_jax.evaluation import Evaluator, Mode, evaluate_run
+from hitl_jax.evaluation import Evaluator, Mode, evaluate_run, evaluate_snapshots
 from hitl_jax.networks import Actor
 from hitl_jax.rollout import FinishedRun, LoopConfig, Rollout, RunSpec, episode_seed
 
@@ -59,14 +59,28 @@ def policy_digest(human_policy: str | None) -> str | None:
     return "sha256:" + hashlib.sha256(pathlib.Path(human_policy).read_bytes()).hexdigest()
 
 
+class Tested(NamedTuple):
+    """A run that has ended.
+
+    Attributes:
+        finished: the run.
+        tests: rows of its tests at the end.
+        progress: rows of its tests at snapshots.
+    """
+
+    finished: FinishedRun
+    tests: list[Row]
+    progress: list[Row]
+
+
 def train_and_test(
     agent: Agent,
     specs: Sequence[RunSpec],
     loop: LoopConfig,
     plant: Plant,
     watch: Callable[[Rollout], None],
-) -> Generator[tuple[FinishedRun, list[Row]]]:
-    """Gives each run as it ends, with its test episodes.
+) -> Generator[Tested]:
+    """Gives each run as it ends, tested.
 
     Args:
         agent: the team.
@@ -95,7 +109,8 @@ def train_and_test(
         rollout = Rollout(agent, specs, pool, loop)
         for done in rollout:
             for finished in done:
-                yield finished, evaluate_run(evaluator, finished, _modes(finished.run.spec.method))
+                tests = evaluate_run(evaluator, finished, _modes(finished.run.spec.method))
+                yield Tested(finished, tests, evaluate_snapshots(evaluator, finished.run))
                 interrupted()
             watch(rollout)
             interrupted()

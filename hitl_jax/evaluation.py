@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import jax
@@ -10,15 +10,33 @@ import numpy as np
 
 from hitl_jax import batch
 from hitl_jax.acting import ActingState, init_acting
-from hitl_jax.agent import Agent
+from hitl_jax.agent import Agent, behavior
 from hitl_jax.config import RunHyper
 from hitl_jax.devices import acting_device
 from hitl_jax.envs import Command, WalkerPool
 from hitl_jax.episodes import EpisodeCounter, Row, Step
-from hitl_jax.rollout import FinishedRun, episode_seed, method_index
+from hitl_jax.rollout import (
+    FinishedRun,
+    Run,
+    RunSpec,
+    Snapshot,
+    episode_seed,
+    method_index,
+)
 from hitl_jax.types import Behavior
 
 Mode = Literal["autonomous", "assisted"]
+
+Watch = Callable[[np.ndarray, np.ndarray], None]
+"""Called at each step of a test with s_t, [N, O], and which walkers take the step, bool [N]."""
+
+_PARTS = 5
+
+
+def milestones(episodes: int) -> tuple[int, ...]:
+    """Numbers of training episodes at which a run is tested before its end: its fifths."""
+    points = (episodes * part // _PARTS for part in range(1, _PARTS))
+    return tuple(sorted({point for point in points if point > 0}))
 
 
 class Evaluator:
@@ -41,7 +59,8 @@ class Evaluator:
         self._agent = agent._replace(config=config)
         self._pool = pool
         step = functools.partial(batch.act_or_begin, self._agent)
-        self._act = jax.jit(jax.vmap(step, in_axes=(None, None, 0, 0, 0)))
+        episodes = jax.vmap(step, in_axes=(None, None, 0, 0, 0))
+        self._act = jax.jit(jax.vmap(episodes, in_axes=(None, 0, 0, 0, 0)))
         self._init = jax.jit(self._init_acting)
 
     @property
@@ -57,36 +76,47 @@ class Evaluator:
         boundary: np.ndarray,
         key: jax.Array,
         seeds: np.ndarray,
+        watch: Watch | None = None,
     ) -> list[Row]:
-        """Plays one episode on each walker.
+        """Plays one episode on each walker, all of K policies of one run.
 
         Args:
             mode: `autonomous` or `assisted`.
             hyper: the run's hyperparameters, scalars.
-            params: the trained parameters.
-            boundary: the boundary source's carry at the end of training, [] or [K].
+            params: trained parameters, leaves [K, ...].
+            boundary: the boundary source's carry of each policy, [K] or [K, C].
             key: consumed.
-            seeds: reset seeds of the episodes, uint32 [N], N the pool's walkers.
+            seeds: reset seeds of each policy's episodes, uint32 [K, E], K · E at most the pool's
+                walkers.
+            watch: sees every step.
 
         Returns:
-            A row for each episode, in the order of `seeds`.
+            A row for each episode, policy after policy.
         """
         hyper = frozen(hyper, human_present=mode == "assisted")
         # Committed to the acting device, the programs run there, a GPU or not.
         hyper, params, key = jax.device_put((hyper, params, key), acting_device())
-        state = self._init(hyper, boundary, key, np.arange(len(seeds)))
+        state = self._init(hyper, boundary, key, np.arange(seeds.shape[1]))
         layout = self._agent.layout
-        counter = EpisodeCounter(len(seeds))
-        rows: list[Row | None] = [None] * len(seeds)
-        active = np.ones(len(seeds), bool)
-        action = np.zeros((len(seeds), layout.action_size), np.float32)
-        command = np.full(len(seeds), Command.RESET, np.uint8)
-        observation = self._pool.step(command, action, seeds).observation
+        walkers = self._pool.num_walkers
+        counter = EpisodeCounter(walkers)
+        rows: list[Row | None] = [None] * walkers
+        active = np.arange(walkers) < seeds.size
+        action = np.zeros((walkers, layout.action_size), np.float32)
+        decided = np.zeros((walkers, layout.width + len(batch.EXTRA_COLUMNS)), np.float32)
+        resets = np.zeros(walkers, np.uint32)
+        resets[: seeds.size] = seeds.ravel()
+        command = np.where(active, Command.RESET, Command.IDLE).astype(np.uint8)
+        observation = self._pool.step(command, action, resets).observation
         while active.any():
-            state, packed = self._act(hyper, params, state, observation, active)
-            decided = np.asarray(packed)
+            if watch is not None:
+                watch(observation, active)
+            seen = observation[: seeds.size].reshape(*seeds.shape, -1)
+            live = active[: seeds.size].reshape(seeds.shape)
+            state, packed = self._act(hyper, params, state, seen, live)
+            decided[: seeds.size] = np.asarray(packed).reshape(seeds.size, -1)
             command = np.where(active, Command.STEP, Command.IDLE).astype(np.uint8)
-            answer = self._pool.step(command, decided[:, layout.action], seeds)
+            answer = self._pool.step(command, decided[:, layout.action], resets)
             flags = batch.flags_of(decided, layout)
             known = hyper.has_arbiter > 0
             step = Step(
@@ -95,17 +125,17 @@ class Evaluator:
                 shaped=answer.reward,  # nothing is learned from a test
                 terminated=answer.terminated,
                 truncated=answer.truncated,
-                human_reset=np.zeros(len(seeds), bool),
+                human_reset=np.zeros(walkers, bool),
                 control=flags["control"],
                 human_action=flags["human_action"],
                 began=flags["began"],
                 alarmed=flags["alarmed"],
                 dangerous=flags["dangerous"],
-                boundary=decided[:, layout.boundary] if known else np.full(len(seeds), np.nan),
+                boundary=decided[:, layout.boundary] if known else np.full(walkers, np.nan),
             )
             active = active.copy()
             for walker, row in counter.count(step):
-                rows[walker] = {"mode": mode, "episode": walker + 1, **row}
+                rows[walker] = {"mode": mode, "episode": walker % seeds.shape[1] + 1, **row}
                 active[walker] = False
             observation = answer.observation
         return [row for row in rows if row is not None]
@@ -113,13 +143,14 @@ class Evaluator:
     def _init_acting(
         self, hyper: RunHyper, boundary: jax.Array, key: jax.Array, episodes: jax.Array
     ) -> ActingState:
-        """An acting state for each episode, leaves [N, ...]; its key depends on nothing else."""
+        """Acting states, leaves [K, E, ...]; an episode's key depends on nothing else."""
 
-        def one(episode: jax.Array) -> ActingState:
+        def one(boundary: jax.Array, episode: jax.Array) -> ActingState:
             state = init_acting(self._agent, hyper, jax.random.fold_in(key, episode))
             return dataclasses.replace(state, boundary=boundary)
 
-        return jax.vmap(one)(episodes)
+        policies = jax.vmap(one, in_axes=(None, 0))
+        return jax.vmap(policies, in_axes=(0, None))(boundary, episodes)
 
 
 def evaluate_run(evaluator: Evaluator, finished: FinishedRun, modes: Sequence[Mode]) -> list[Row]:
@@ -136,18 +167,56 @@ def evaluate_run(evaluator: Evaluator, finished: FinishedRun, modes: Sequence[Mo
     Returns:
         A row for each mode and episode.
     """
+    last = Snapshot(finished.run.spec.episodes, behavior(finished.train), finished.boundary)
     spec = finished.run.spec
+    return [row for mode in modes for row in evaluate_policies(evaluator, mode, spec, [last])]
+
+
+def evaluate_snapshots(evaluator: Evaluator, run: Run) -> list[Row]:
+    """Tests a run, alone, as it was at its snapshots; they share the evaluator's walkers.
+
+    Args:
+        evaluator: plays an episode on each of its walkers.
+        run: with the snapshots.
+
+    Returns:
+        A row for each snapshot and episode, with the number of training episodes as `trained`.
+    """
+    snapshots = run.snapshots[: evaluator.num_episodes]
+    if not snapshots:
+        return []
+    rows = evaluate_policies(evaluator, "autonomous", run.spec, snapshots)
+    each = len(rows) // len(snapshots)
+    return [{"trained": snapshots[n // each].episode, **row} for n, row in enumerate(rows)]
+
+
+def evaluate_policies(
+    evaluator: Evaluator,
+    mode: Mode,
+    spec: RunSpec,
+    policies: Sequence[Snapshot],
+    watch: Watch | None = None,
+) -> list[Row]:
+    """One test of some of a run's policies, each on the same terrains.
+
+    Args:
+        evaluator: its walkers are shared out among the policies.
+        mode: `autonomous` or `assisted`.
+        spec: the run.
+        policies: at most as many as walkers.
+        watch: sees every step.
+
+    Returns:
+        A row for each policy and episode.
+    """
     *_, key = batch.run_keys(spec.seed, method_index(spec.method))
-    params = Behavior(
-        actor=finished.train.learner.actor, boundary_actor=finished.train.boundary.actor
-    )
-    numbers = range(evaluator.num_episodes)
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *policies)
+    numbers = range(evaluator.num_episodes // len(policies))
     seeds = np.array([episode_seed("test", spec.seed, number) for number in numbers], np.uint32)
-    return [
-        row
-        for mode in modes
-        for row in evaluator.evaluate(mode, spec.hyper, params, finished.boundary, key, seeds)
-    ]
+    everywhere = np.tile(seeds, (len(policies), 1))
+    return evaluator.evaluate(
+        mode, spec.hyper, stacked.behavior, stacked.boundary, key, everywhere, watch
+    )
 
 
 def frozen(hyper: RunHyper, human_present: bool) -> RunHyper:

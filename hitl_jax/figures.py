@@ -23,6 +23,7 @@ from hitl_jax import stats
 from hitl_jax.curves import Curve, over_episodes, over_seeds, over_steps
 from hitl_jax.files import write_bytes_atomic
 from hitl_jax.results import ResultsFolder, flatten
+from hitl_jax.summary import skill_over_training
 from hitl_jax.tables import METHODS, Table, select
 
 SOLVED = 300.0
@@ -49,12 +50,18 @@ _STYLE: Any = {
 
 
 class _Method(NamedTuple):
-    """One method's data: training episodes of all runs, test episodes of the finished ones."""
+    """One method's data: training episodes of all runs, test episodes of the finished ones.
+
+    `progress` has the mean test returns of the runs that were tested during training as well, and
+    `points` when that was.
+    """
 
     name: str
     training: list[Table]
     unfinished: int
     tests: list[Table]
+    points: np.ndarray
+    progress: list[np.ndarray]
 
 
 class _Data(NamedTuple):
@@ -90,6 +97,7 @@ def draw_all(
         "figure4_training": _draw_training,
         "figure4_steps": _draw_steps,
         "figure5_test": _draw_tests,
+        "figure5_progress": _draw_progress,
         "figure6_boundary": _draw_boundary,
         "figure7_human": _draw_human,
     }
@@ -106,21 +114,29 @@ def draw_all(
 
 
 def _load(folder: ResultsFolder) -> _Data:
-    config = flatten(folder.load_config())
     runs, partials = folder.load_all(), folder.load_partials()
     methods = []
     for name in METHODS:
         finished = [run for run in runs if run.key.method == name]
         begun = [t for key, t in partials.items() if key.method == name and len(t["episode"])]
         training = [run.episodes for run in finished if len(run.episodes["episode"])] + begun
-        tests = [run.tests for run in finished if (run.tests["mode"] == "autonomous").any()]
-        if training or tests:
-            methods.append(_Method(name, training, len(begun), tests))
+        tested = [run for run in finished if (run.tests["mode"] == "autonomous").any()]
+        often = [skill_over_training(run) for run in tested if len(run.progress["trained"])]
+        if training or tested:
+            points = often[0][0] if often else np.empty(0)
+            progress = [returns for _, returns in often]
+            tests = [run.tests for run in tested]
+            methods.append(_Method(name, training, len(begun), tests, points, progress))
     longest = max((len(t["episode"]) for m in methods for t in m.training), default=0)
+    return _Data(methods, int(np.clip(longest // 10, 20, 100)), boundary_label(folder))
+
+
+def boundary_label(folder: ResultsFolder) -> str:
+    """What an axis of boundaries is called: they have the unit of the folder's indicator."""
+    config = flatten(folder.load_config())
     indicators = [value for key, value in config.items() if key.split(".")[-1] == "indicator"]
     in_radians = set(indicators) <= {"hull_angle"}
-    label = "boundary [rad]" if in_radians else f"boundary [unit of {indicators[0]}]"
-    return _Data(methods, int(np.clip(longest // 10, 20, 100)), label)
+    return "boundary [rad]" if in_radians else f"boundary [unit of {indicators[0]}]"
 
 
 def _draw_training(data: _Data, rng: np.random.Generator) -> Figure | None:
@@ -184,6 +200,23 @@ def _draw_tests(data: _Data, rng: np.random.Generator) -> Figure | None:
     lines.append(Line2D([], [], color=_GREY, linewidth=0.9, linestyle="--", label="solved"))
     figure.legend(handles=lines, loc="outside upper center", ncols=4)
     figure.legend(handles=marks, loc="outside lower center", ncols=2)
+    return figure
+
+
+def _draw_progress(data: _Data, rng: np.random.Generator) -> Figure | None:
+    """Skill over training: autonomous test returns, which no human's reset cuts short."""
+    methods = [m for m in data.methods if m.progress]
+    if not methods:
+        return None
+    figure, [axes] = _panels(1, 1, (_COLUMN, 3.7))
+    lines = []
+    for m in methods:
+        curve = over_seeds(m.points, m.progress, stats.interquartile_mean, rng)
+        lines.append(_draw_curve(axes, m._replace(unfinished=0), curve))
+        lines[-1].set(marker="o", markersize=4)
+    axes.set(xlabel="training episodes before the test", ylabel="autonomous test return")
+    _mark_solved(axes, "solved")
+    _legend(figure, lines)
     return figure
 
 

@@ -19,8 +19,8 @@ class Atoms(NamedTuple):
     """A distribution of returns at finitely many points.
 
     Attributes:
-        value: the points, [B, M].
-        weight: how much each counts, [B, M]; rows sum to 1.
+        value: the points, [M, B].
+        weight: how much each counts, [M, B]; columns sum to 1.
     """
 
     value: chex.Array
@@ -93,7 +93,7 @@ def target_quantiles(
     """TD targets of a return distribution, the largest of the pooled quantiles left out.
 
     y_j = R + discount · z_j over the pooled quantiles z of all critics but the `num_dropped`
-    largest, of equal weight (https://arxiv.org/abs/2005.04269, eq. 7 to 9), without a gradient.
+    largest (and what equals one of those), of equal weight (https://arxiv.org/abs/2005.04269, eq. 7 to 9), without a gradient.
 
     Args:
         reward: n-step reward, [B].
@@ -105,15 +105,14 @@ def target_quantiles(
         The targets and their weights.
     """
     chex.assert_rank([reward, discount, next_quantiles], [1, 1, 3])
-    num_critics, batch, num_quantiles = next_quantiles.shape
-    pooled = jnp.moveaxis(next_quantiles, 1, 0).reshape(batch, num_critics * num_quantiles)
-    kept = jnp.ones_like(pooled)
+    chex.assert_equal_shape([reward, discount, next_quantiles[0, :, 0]])
+    pooled = jnp.moveaxis(next_quantiles, 1, -1).reshape(-1, reward.shape[0])
+    kept = jnp.ones(pooled.shape, bool)
     for _ in range(num_dropped):  # A sort would take longer.
-        largest = jnp.argmax(jnp.where(kept > 0, pooled, -jnp.inf), axis=1, keepdims=True)
-        kept = jnp.where(jnp.arange(pooled.shape[1]) == largest, 0.0, kept)
-    value = reward[:, None] + discount[:, None] * pooled
-    weight = kept / (pooled.shape[1] - num_dropped)
-    return Atoms(*jax.lax.stop_gradient((value, weight)))
+        left = kept & (pooled < jnp.max(pooled, axis=0, where=kept, initial=-jnp.inf))
+        kept = jnp.where(jnp.any(left, axis=0), left, kept)  # All may be equal.
+    weight = kept / jnp.sum(kept, axis=0)
+    return Atoms(*jax.lax.stop_gradient((reward + discount * pooled, weight)))
 
 
 def quantile_loss(
@@ -137,10 +136,11 @@ def quantile_loss(
     chex.assert_rank([quantiles, target.value], [3, 2])
     count = quantiles.shape[-1]
     level = (jnp.arange(count) + 0.5) / count
-    error = target.value[:, None, :] - quantiles[..., None]  # [E, B, Q, M]
+    # The axis that is summed over stands before batch and quantiles, [E, M, B, Q]: it vectorises.
+    error = target.value[:, :, None] - quantiles[:, None]
     huber = jnp.where(jnp.abs(error) < 1.0, 0.5 * jnp.square(error), jnp.abs(error) - 0.5)
-    tilt = jnp.abs(level[:, None] - (error < 0.0))
-    each = jnp.sum(tilt * huber * target.weight[:, None, :], axis=-1)
+    tilt = jnp.abs(level - (error < 0.0))
+    each = jnp.sum(tilt * huber * target.weight[:, :, None], axis=1)
     loss = jnp.sum(jnp.mean(each, axis=(1, 2)))
     return loss, {"critic_loss": loss, "q": jnp.mean(quantiles)}
 

@@ -6,6 +6,7 @@
     OUT/runs/<method>/seed-0003/run.json     the run: config, versions, commit, cost
     OUT/runs/<method>/seed-0003/episodes.csv training episodes
     OUT/runs/<method>/seed-0003/test.csv     test episodes
+    OUT/runs/<method>/seed-0003/progress.csv test episodes at earlier points of training
     OUT/runs/<method>/seed-0003/params.npz   the final parameters
     OUT/partial/<method>-seed-0003.csv       training episodes of a run still under way
     OUT/summary.csv, OUT/summary.md, OUT/figures/
@@ -38,6 +39,7 @@ from hitl_jax.provenance import git_commit, versions
 from hitl_jax.tables import (
     EPISODE_COLUMNS,
     METHODS,
+    PROGRESS_COLUMNS,
     TEST_COLUMNS,
     Table,
     table_from_csv,
@@ -50,6 +52,7 @@ RUN_INFO = ("config", "versions", "commit", "wall_seconds", "env_steps", "update
 """What the caller of `save_run` tells about a run."""
 
 _MAX_DIFFERENCES = 5
+_NONE: dict[str, Any] = {name: [] for name in PROGRESS_COLUMNS}
 
 
 class ConfigMismatch(ResultsError):
@@ -86,12 +89,15 @@ class Run:
         info: run.json.
         episodes: training episodes, columns `EPISODE_COLUMNS`.
         tests: test episodes, columns `TEST_COLUMNS`.
+        progress: test episodes at earlier points of training, columns `PROGRESS_COLUMNS`; none of
+            a run that was made without.
     """
 
     key: RunKey
     info: dict[str, Any]
     episodes: Table
     tests: Table
+    progress: Table = dataclasses.field(default_factory=lambda: to_table(_NONE, PROGRESS_COLUMNS))
 
 
 class ResultsFolder:
@@ -162,6 +168,7 @@ class ResultsFolder:
         tests: dict[str, Any],
         params: dict[str, np.ndarray],
         info: dict[str, Any],
+        progress: dict[str, Any] | None = None,
     ) -> None:
         """Writes a finished run, whole or not at all.
 
@@ -171,6 +178,7 @@ class ResultsFolder:
             tests: test episodes, columns `TEST_COLUMNS`, each [N]; N may be 0.
             params: arrays by flat name, for example "actor/params/Dense_0/kernel".
             info: what `RUN_INFO` lists, and whatever else JSON can hold.
+            progress: test episodes at earlier points of training, columns `PROGRESS_COLUMNS`.
 
         Raises:
             ResultsError: if the run is there already, or the disk refuses.
@@ -192,6 +200,7 @@ class ResultsFolder:
         contents = {
             "episodes.csv": table_to_csv(to_table(episodes, EPISODE_COLUMNS)).encode(),
             "test.csv": table_to_csv(to_table(tests, TEST_COLUMNS)).encode(),
+            "progress.csv": table_to_csv(to_table(progress or _NONE, PROGRESS_COLUMNS)).encode(),
             "params.npz": archive.getvalue(),
             "run.json": _to_json(document).encode(),
         }
@@ -213,7 +222,12 @@ class ResultsFolder:
         if (info.get("method"), info.get("seed")) != (key.method, key.seed):
             raise ResultsError(f"{folder / 'run.json'}: is of another run than its folder's name")
         episodes = _read_table(folder / "episodes.csv", EPISODE_COLUMNS)
-        return Run(key, info, episodes, _read_table(folder / "test.csv", TEST_COLUMNS))
+        tests = _read_table(folder / "test.csv", TEST_COLUMNS)
+        if not (folder / "progress.csv").exists():
+            return Run(key, info, episodes, tests)
+        return Run(
+            key, info, episodes, tests, _read_table(folder / "progress.csv", PROGRESS_COLUMNS)
+        )
 
     def load_all(self) -> list[Run]:
         """All finished runs: in the order of `METHODS`, other methods after them, then by seed."""

@@ -16,12 +16,13 @@ import time
 import zlib
 from collections import deque
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from hitl_jax import arbiter, batch
-from hitl_jax.agent import Agent
+from hitl_jax.agent import Agent, behavior
 from hitl_jax.config import Method, RunHyper, require, typed
 from hitl_jax.devices import acting_device, default_tile, learning_devices
 from hitl_jax.envs import Command, StepBatch, WalkerPool
@@ -82,12 +83,28 @@ class RunSpec:
         seed: which seed.
         hyper: hyperparameters, host scalars.
         episodes: training episodes after which the run is done.
+        snapshots: rising numbers of training episodes after which what acts is kept.
     """
 
     method: Method
     seed: int
     hyper: RunHyper
     episodes: int
+    snapshots: tuple[int, ...] = ()
+
+
+class Snapshot(NamedTuple):
+    """What acts, at one point of training.
+
+    Attributes:
+        episode: training episodes behind it.
+        behavior: parameters, as NumPy arrays.
+        boundary: the boundary source's carry, [] or [K].
+    """
+
+    episode: int
+    behavior: Behavior
+    boundary: np.ndarray
 
 
 @dataclasses.dataclass
@@ -102,6 +119,7 @@ class Run:
         env_steps: environment steps taken.
         updates: updates of the task learner.
         done: whether all episodes have ended.
+        snapshots: those that are due so far.
         started: when it was seated, on the monotonic clock [s].
     """
 
@@ -112,6 +130,7 @@ class Run:
     env_steps: int = 0
     updates: int = 0
     done: bool = False
+    snapshots: list[Snapshot] = dataclasses.field(default_factory=list)
     started: float = dataclasses.field(default_factory=time.monotonic)
 
 
@@ -219,6 +238,8 @@ class Rollout:
         """Plays chunk after chunk; gives the runs that finished in each."""
         while self._active.any():
             frames = self._play()
+            for run in self.runs():
+                self._keep_snapshot(run)
             finished = [run for run in self._runs if run is not None and run.done]
             results = [self.collect(run) for run in finished]
             self._learn(frames)
@@ -234,13 +255,9 @@ class Rollout:
 
     def collect(self, run: Run) -> FinishedRun:
         """What a run has become so far; for a run that is seated."""
-        device, column = divmod(run.slot, self._share)
+        device, _ = divmod(run.slot, self._share)
         train = dataclasses.replace(self._seats[device].train, key=None)
-        return FinishedRun(
-            run=run,
-            train=jax.tree.map(lambda leaf: leaf[0], jax.device_get(self._take(train, column))),
-            boundary=np.asarray(self._programs.boundaries(self._acting))[run.slot],
-        )
+        return FinishedRun(run, self._fetch(train, run), self._boundary_of(run))
 
     def wait(self) -> None:
         """Returns when the learner has nothing left to do."""
@@ -272,6 +289,22 @@ class Rollout:
         self._seeds[slot] = episode_seed(spec.method, spec.seed, 0)
         self._feedback[slot] = spec.hyper.feedback
         self._has_arbiter[slot] = spec.hyper.has_arbiter > 0
+
+    def _keep_snapshot(self, run: Run) -> None:
+        """Keeps what acts, at the end of the chunk in which a snapshot's episode ended."""
+        due = run.spec.snapshots[len(run.snapshots) : len(run.snapshots) + 1]
+        if due and len(run.episodes) >= due[0]:
+            device, _ = divmod(run.slot, self._share)
+            acts = self._fetch(behavior(self._seats[device].train), run)
+            run.snapshots.append(Snapshot(due[0], acts, self._boundary_of(run)))
+
+    def _fetch(self, tree: Params, run: Run) -> Params:
+        """A run's part of its device's tree, as NumPy arrays."""
+        _, column = divmod(run.slot, self._share)
+        return jax.tree.map(lambda leaf: leaf[0], jax.device_get(self._take(tree, column)))
+
+    def _boundary_of(self, run: Run) -> np.ndarray:
+        return np.asarray(self._programs.boundaries(self._acting))[run.slot]
 
     def _play(self) -> np.ndarray:
         """One chunk of ticks; the frames for the replay, [R, U, W]."""

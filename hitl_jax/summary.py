@@ -118,6 +118,22 @@ def write_summary(folder: ResultsFolder, rng: np.random.Generator) -> list[pathl
     return [table, report]
 
 
+def skill_over_training(run: Run) -> tuple[np.ndarray, np.ndarray]:
+    """Mean autonomous test return at the points of training that were tested, the end last.
+
+    Args:
+        run: a finished run.
+
+    Returns:
+        Training episodes until then [P], and the mean returns [P].
+    """
+    trained = run.progress["trained"]
+    points = np.unique(trained)
+    means = [run.progress["return"][trained == point].mean() for point in points]
+    last = select(run.tests, "mode", "autonomous")["return"].mean()
+    return np.append(points, len(run.episodes["episode"])), np.array([*means, last])
+
+
 def summarise_run(run: Run) -> Row:
     """The measures of one run, keys `SUMMARY_COLUMNS`."""
     episodes, tests = run.episodes, run.tests

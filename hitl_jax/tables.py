@@ -58,6 +58,10 @@ TEST_COLUMNS = (
 )
 """Columns of a run's test episodes; they mean what they mean in training."""
 
+PROGRESS_COLUMNS = ("trained", *TEST_COLUMNS[1:])
+"""Columns of a run's autonomous test episodes before its end; `trained` counts training episodes
+until then."""
+
 _TEXT = {"mode": MODES, "end": ENDS}
 _FLOATS = ("return", "shaped_return", "mean_boundary", "final_boundary", "lead_steps")
 _MAY_BE_NAN = ("mean_boundary", "final_boundary", "lead_steps")
@@ -68,7 +72,7 @@ def to_table(columns: Mapping[str, object], names: tuple[str, ...]) -> Table:
 
     Args:
         columns: sequences or arrays [T], exactly those of `names`.
-        names: `EPISODE_COLUMNS` or `TEST_COLUMNS`.
+        names: `EPISODE_COLUMNS`, `TEST_COLUMNS` or `PROGRESS_COLUMNS`.
 
     Returns:
         The table, with copies of the values.

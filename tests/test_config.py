@@ -9,7 +9,7 @@ from hitl_jax.config import AgentConfig, Hyper, Method, RunHyper, hyper_for, val
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"learner": "sac"}, "--learner sac: must be one of ddpg, td3"),
+        ({"learner": "sac"}, "--learner sac: must be one of ddpg, td3, td3-tqc"),
         ({"boundary_source": "oracle"}, "--boundary-source oracle: must be one of network"),
         ({"intervention": "shout"}, "--intervention shout: must be one of reset"),
         ({"feedback_schedule": "year"}, "--feedback-schedule year: must be one of step"),
@@ -58,9 +58,3 @@ def test_methods_share_everything_but_their_flags():
     assert made[Method.SRL]["has_arbiter"] == 0.0
     assert made[Method.HITL_FIX]["has_arbiter"] == 1.0
     assert made[Method.HITL_FIX]["learns_boundary"] == 0.0
-
-
-def test_learners_are_switches():
-    td3, ddpg = AgentConfig(learner="td3"), AgentConfig(learner="ddpg")
-    assert (td3.num_critics, td3.policy_delay, td3.smooths_target) == (2, 2, True)
-    assert (ddpg.num_critics, ddpg.policy_delay, ddpg.smooths_target) == (1, 1, False)

@@ -5,7 +5,8 @@ from toy import ToyPool
 
 from hitl_jax import agent as agents
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.evaluation import Evaluator
+from hitl_jax.evaluation import Evaluator, evaluate_run, evaluate_snapshots
+from hitl_jax.rollout import FinishedRun, Run, RunSpec, Snapshot
 
 _SEEDS = np.arange(5, dtype=np.uint32)
 
@@ -16,7 +17,9 @@ def _evaluate(mode, method=Method.HITL_AC, boundary=0.4, seeds=_SEEDS, config=No
     params = agents.behavior(agents.init(agent, jax.random.key(0)))
     hyper = hyper_for(method, Hyper(takeover_steps=3, delta_minus=0.1, **changes))
     evaluator = Evaluator(agent, ToyPool(len(seeds)))
-    return evaluator.evaluate(mode, hyper, params, np.float32(boundary), jax.random.key(1), seeds)
+    policy = jax.tree.map(lambda leaf: leaf[None], params)
+    boundary = np.full(1, boundary, np.float32)
+    return evaluator.evaluate(mode, hyper, policy, boundary, jax.random.key(1), seeds[None])
 
 
 def test_autonomous_records_alarms_and_nobody_acts():
@@ -48,6 +51,26 @@ def test_an_episode_does_not_depend_on_its_place():
     assert [row["return"] for row in forward] == pytest.approx(
         [row["return"] for row in backward][::-1], rel=1e-5
     )
+
+
+def test_snapshots_share_the_walkers_and_are_tested_as_the_end_is():
+    agent = agents.make_agent(AgentConfig(hidden_sizes=(16,)))
+    trained = [agents.init(agent, jax.random.key(seed)) for seed in range(3)]
+    spec = RunSpec(Method.HITL_AC, 0, hyper_for(Method.HITL_AC, Hyper()), episodes=9)
+    snapshots = [
+        Snapshot(3 * (n + 1), agents.behavior(state), np.float32(0.3 + 0.1 * n))
+        for n, state in enumerate(trained)
+    ]
+    # Three policies on seven walkers: two episodes each, and one walker stands still.
+    rows = evaluate_snapshots(Evaluator(agent, ToyPool(7)), Run(spec, 0, snapshots=snapshots))
+    assert [(row["trained"], row["episode"]) for row in rows] == [
+        *((3, 1), (3, 2), (6, 1), (6, 2), (9, 1), (9, 2)),
+    ]
+    end = FinishedRun(Run(spec, 0), trained[1], np.float32(0.4))
+    tested = evaluate_run(Evaluator(agent, ToyPool(2)), end, ("autonomous",))
+    for row, alone in zip(rows[2:4], tested, strict=True):
+        assert row["return"] == pytest.approx(alone["return"], rel=1e-5)
+        assert row["mean_boundary"] == pytest.approx(0.4)
 
 
 def test_without_an_arbiter_there_is_no_boundary():

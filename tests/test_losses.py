@@ -64,6 +64,55 @@ class LossesTest(chex.TestCase):
         np.testing.assert_allclose(metrics["q"], (2 + 0 + 0.5 - 1) / 4)
 
     @chex.variants(with_jit=True, without_jit=True)
+    def test_target_quantiles_leave_out_the_largest_of_all_critics(self):
+        quantiles = jnp.array([[[1.0, 9.0], [0.0, 0.0]], [[2.0, 3.0], [4.0, 6.0]]])
+        target = self.variant(lambda r, d, q: losses.target_quantiles(r, d, q, num_dropped=2))(
+            _BATCH.reward, _BATCH.discount, quantiles
+        )
+        # 1 + 0.5 z, 9 and 3 left out; the second step terminated, and 6 and 4 are left out.
+        np.testing.assert_allclose(target.value.T, [[1.5, 5.5, 2.0, 2.5], [-1.0] * 4])
+        np.testing.assert_allclose(target.weight.T, [[0.5, 0, 0.5, 0], [0.5, 0.5, 0, 0]])
+
+    def test_equal_target_quantiles_are_not_all_left_out(self):
+        target = losses.target_quantiles(_BATCH.reward, _BATCH.discount, jnp.ones((2, 2, 2)), 2)
+        np.testing.assert_allclose(target.weight, 0.25)
+
+    def test_target_quantiles_carry_no_gradient(self):
+        def total(quantiles):
+            return losses.target_quantiles(_BATCH.reward, _BATCH.discount, quantiles, 1).value.sum()
+
+        np.testing.assert_array_equal(jax.grad(total)(jnp.ones((2, 2, 3))), np.zeros((2, 2, 3)))
+
+    @chex.variants(with_jit=True, without_jit=True)
+    def test_quantile_loss_by_hand(self):
+        target = losses.Atoms(jnp.array([[0.5], [3.0]]), jnp.array([[0.25], [0.75]]))
+        one = jax.tree.map(lambda leaf: leaf[:1], _BATCH)
+        loss, metrics = self.variant(
+            lambda p: losses.quantile_loss(p, lambda q, *_: q, one, target)
+        )(jnp.array([[[0.0, 2.0]]]))
+        # Levels 1/4 and 3/4. Of quantile 0 the errors are 0.5 and 3, Huber 0.125 and 2.5:
+        # 0.25 (0.25 · 0.125 + 0.75 · 2.5). Of quantile 2: -1.5 and 1, Huber 1 and 0.5:
+        # 0.25 · 0.25 · 1 + 0.75 · 0.75 · 0.5. Their mean.
+        first = 0.25 * (0.25 * 0.125 + 0.75 * 2.5)
+        second = 0.25 * 0.25 * 1.0 + 0.75 * 0.75 * 0.5
+        np.testing.assert_allclose(loss, (first + second) / 2)
+        np.testing.assert_allclose(metrics["q"], 1.0)
+
+    def test_quantile_loss_finds_the_quantiles(self):
+        rng = np.random.default_rng(0)
+        samples = jnp.asarray(rng.normal(100.0, 50.0, (1000, 1)))
+        target = losses.Atoms(samples, jnp.full_like(samples, 1e-3))
+        one = jax.tree.map(lambda leaf: leaf[:1], _BATCH)
+        slope = jax.jit(
+            jax.grad(lambda p: losses.quantile_loss(p, lambda q, *_: q, one, target)[0])
+        )
+        quantiles = jnp.zeros((1, 1, 4))
+        for _ in range(2000):
+            quantiles -= 4.0 * slope(quantiles)
+        wanted = np.quantile(samples, [0.125, 0.375, 0.625, 0.875])
+        np.testing.assert_allclose(quantiles[0, 0], wanted, atol=1.0)
+
+    @chex.variants(with_jit=True, without_jit=True)
     def test_actor_loss_by_hand_follows_the_first_critic(self):
         actor = {"gain": jnp.array(0.5)}
         critic = {"weights": jnp.array([[1.0, 2.0], [50.0, 50.0]])}

@@ -96,7 +96,8 @@ def test_a_run_comes_back_as_it_was_saved(folder):
 def test_the_files_are_for_common_tools(folder):
     save(folder)
     path = folder.path / "runs/hitl-ac/seed-0003"
-    assert everything_below(path) == {"run.json", "episodes.csv", "test.csv", "params.npz"}
+    tables = {"episodes.csv", "test.csv", "progress.csv"}
+    assert everything_below(path) == {"run.json", "params.npz"} | tables
     frame = pd.read_csv(path / "episodes.csv")
     assert tuple(frame.columns) == EPISODE_COLUMNS
     assert frame["final_boundary"].isna().all()
@@ -116,6 +117,15 @@ def test_a_run_without_tests_is_fine(folder):
     none = {name: [] for name in TEST_COLUMNS}
     folder.save_run(KEY, make_episodes(), none, make_params(), make_info())
     assert len(folder.load_run(KEY).tests["return"]) == 0
+
+
+def test_tests_during_training_are_kept_and_may_be_missing(folder):
+    tests = make_tests()
+    progress = {name: tests[name] for name in TEST_COLUMNS[1:]} | {"trained": [200, 400]}
+    folder.save_run(KEY, make_episodes(), tests, make_params(), make_info(), progress)
+    assert folder.load_run(KEY).progress["trained"].tolist() == [200, 400]
+    (folder.path / "runs/hitl-ac/seed-0003/progress.csv").unlink()  # as of an older program
+    assert len(folder.load_run(KEY).progress["trained"]) == 0
 
 
 def test_runs_are_listed_by_method_then_seed(folder):

@@ -7,7 +7,7 @@ import pytest
 from toy import ToyPool
 
 from experiments.benchmarks.timing import memory_mb
-from hitl_jax.agent import make_agent
+from hitl_jax.agent import behavior, make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.devices import learning_devices
 from hitl_jax.rollout import LoopConfig, Rollout, RunSpec, episode_seed, num_slots
@@ -58,6 +58,18 @@ def test_order_queue_and_neighbours_do_not_matter(together):
     queued = _play(specs, slots=4)
     for key, run in together.items():
         _assert_same(queued[key], run)
+
+
+def test_a_snapshot_is_what_a_shorter_run_ends_with(together):
+    spec = _spec(Method.HITL_AC, 1)
+    kept = _play([dataclasses.replace(spec, snapshots=(3, 7))], slots=2)[Method.HITL_AC, 1]
+    _assert_same(kept, together[Method.HITL_AC, 1])
+    assert [snapshot.episode for snapshot in kept.run.snapshots] == [3, 7]
+    for snapshot in kept.run.snapshots:
+        short = dataclasses.replace(spec, episodes=snapshot.episode)
+        ended = _play([short], slots=2)[Method.HITL_AC, 1]
+        jax.tree.map(np.testing.assert_array_equal, snapshot.behavior, behavior(ended.train))
+        assert snapshot.boundary == ended.boundary
 
 
 def test_methods_and_seeds_differ(together):

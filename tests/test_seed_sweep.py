@@ -1,5 +1,6 @@
 """The main job end to end, on real walkers, and what it says to careless users."""
 
+import csv
 import json
 import os
 import signal
@@ -10,10 +11,12 @@ import time
 import numpy as np
 import pytest
 
+from experiments import alarms
 from experiments.cli import run_main
 from experiments.options import SweepOptions
 from experiments.seed_sweep import _Sweep, main
 from hitl_jax.results import ResultsFolder, RunKey
+from hitl_jax.tables import select
 
 _SMALL = [
     *("--seeds", "1", "--episodes", "3", "--test-episodes", "2", "--warmup-steps", "100"),
@@ -44,6 +47,7 @@ def test_everything_is_written(swept):
         assert run.info["env_steps"] == run.episodes["length"].sum()
         modes = run.tests["mode"].tolist()
         assert modes == ["autonomous"] * 2 + ["assisted"] * (0 if method == "srl" else 2)
+        assert run.progress["trained"].tolist() == [1, 2]
         assert {"versions", "commit", "config", "wall_seconds"} <= run.info.keys()
         assert np.isnan(run.episodes["mean_boundary"]).all() == (method == "srl")
         params = folder.load_params(run.key)
@@ -54,6 +58,19 @@ def test_everything_is_written(swept):
     assert (swept / "summary.md").exists()
     assert (swept / "summary.csv").exists()
     assert not list(swept.glob("partial/*.csv"))
+
+
+def test_alarms_are_counted_in_the_episodes_of_the_tests(swept):
+    assert run_main(alarms.AlarmOptions, alarms.main, [str(swept), "--episodes", "2"]) == 0
+    counted = list(csv.DictReader((swept / "alarms.csv").read_text().splitlines()))
+    for run in ResultsFolder(swept).load_all():
+        alone = select(run.tests, "mode", "autonomous")
+        rows = [row for row in counted if row["method"] == run.key.method]
+        assert len(rows) == len(alarms.BOUNDARIES)
+        assert {int(row["steps"]) for row in rows} == {alone["length"].sum()}
+        assert {int(row["falls"]) for row in rows} == {alone["fall"].sum()}
+        assert int(rows[0]["alarms"]) == int(rows[0]["steps"])  # a boundary of 0
+    assert (swept / "figures" / "figure8_alarms.png").exists()
 
 
 def test_a_second_start_skips_what_is_done_and_adds_seeds(swept, capsys):
@@ -98,7 +115,7 @@ def test_another_configuration_is_refused_with_the_difference(swept, capsys):
         (["--human.delay", "99"], "--human.delay 99: must be from 0 to 32"),
         (["--preset", "huge"], "--preset huge: must be one of full, quick"),
         (["--backend", "mujoco"], "--backend mujoco: must be one of lean, gymnasium, envpool"),
-        (["--learner", "sac"], "--learner sac: must be one of ddpg, td3"),
+        (["--learner", "sac"], "--learner sac: must be one of ddpg, td3, td3-tqc"),
         (["--updates-per-step", "0.3"], "--updates-per-step 0.3"),
         (["--human-policy", "pyproject.toml"], "is no checkpoint that can be read"),
         (["--human-policy", "missing.npz"], "is no checkpoint that can be read"),

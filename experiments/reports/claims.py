@@ -11,7 +11,7 @@ import numpy as np
 
 from hitl_jax import stats
 from hitl_jax.results import Run
-from hitl_jax.summary import STEPS_PER_SECOND, WINDOW, summarise_run
+from hitl_jax.summary import STEPS_PER_SECOND, WINDOW, skill_over_training, summarise_run
 from hitl_jax.tables import METHODS, select
 
 RESAMPLES = 2000
@@ -74,6 +74,7 @@ def judge(results: Results) -> list[Claim]:
     claims: list[Callable[[Results, np.random.Generator], Claim]] = [
         _speed,
         _skill,
+        _progress,
         _improvement,
         _boundary,
         _burden,
@@ -128,6 +129,27 @@ def _skill(results: Results, rng: np.random.Generator) -> Claim:
         "above that of HITL-FIX with the same τ_0, and HITL-FIX's above SRL's",
         f"{', '.join(reversed(cells))}; {share}",
         verdict,
+    )
+
+
+def _progress(results: Results, rng: np.random.Generator) -> Claim:
+    tested: dict[int, list[str]] = {}
+    for method in reversed(METHODS):
+        points, returns = zip(*map(skill_over_training, results.runs[method]), strict=True)
+        if len({len(of) for of in returns}) > 1:
+            continue
+        scores = np.array(returns)
+        low, high = stats.bootstrap_interval(scores, stats.interquartile_mean, rng)
+        for at, point in enumerate(points[0]):
+            centre = stats.interquartile_mean(scores[:, at], 0)
+            cell = f"{method.upper()} {centre:.0f} [{low[at]:.0f}, {high[at]:.0f}]"
+            tested.setdefault(int(point), []).append(cell)
+    return Claim(
+        "Skill over training",
+        "–",
+        "reported: interquartile mean of the autonomous test return at points of training",
+        "; ".join(f"episode {point}: {', '.join(cells)}" for point, cells in tested.items()),
+        "–",
     )
 
 

@@ -1,0 +1,126 @@
+"""How well alarms foretell falls: `python -m experiments.alarms RESULTS`.
+
+Plays the trained walkers of a results folder once more, alone, on the terrains of their tests, and
+counts for a range of boundaries what alarms at |c_t| >= τ would have told: how often they come, how
+many are followed by a fall, how many falls they announce, and how long before.
+"""
+
+import contextlib
+import csv
+import dataclasses
+import io
+import pathlib
+import sys
+from typing import Any
+
+import jax
+import numpy as np
+import tyro
+
+from experiments import alarm_figure
+from experiments.cli import BadInput, checking_input, run_main
+from experiments.compile_cache import keep_programs
+from experiments.trained import agent_of, load_trained
+from hitl_jax.agent import Agent
+from hitl_jax.alarms import AlarmCounts, count_alarms, total
+from hitl_jax.config import require
+from hitl_jax.envs import make_pool
+from hitl_jax.evaluation import Evaluator, evaluate_policies
+from hitl_jax.files import ResultsError, write_text_atomic
+from hitl_jax.results import ResultsFolder, RunKey, sort_keys
+
+BOUNDARIES = np.linspace(0.0, 1.5, 61)
+"""τ [rad], or the indicator's unit."""
+
+
+@dataclasses.dataclass(frozen=True)
+class AlarmOptions:
+    """Counts alarms and falls of trained walkers; writes RESULTS/alarms.csv and figure 8.
+
+    Attributes:
+        results: a folder that a sweep has written.
+        episodes: test episodes of a run.
+    """
+
+    results: tyro.conf.Positional[pathlib.Path]
+    episodes: int = 100
+
+
+def main(options: AlarmOptions) -> int:
+    """Plays, writes and draws.
+
+    Args:
+        options: what to play.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        BadInput: where there is nothing to play.
+    """
+    with checking_input():
+        require("episodes", options.episodes, at_least=1)
+    try:
+        folder = ResultsFolder(options.results)
+        agent = agent_of(folder)
+        keys = sort_keys(folder.finished())
+        if not keys:
+            raise BadInput(f"{options.results}: no run has finished yet")
+        keep_programs()
+        rows: list[dict[str, Any]] = []
+        with contextlib.closing(make_pool("lean", options.episodes)) as pool:
+            evaluator = Evaluator(agent, pool)
+            for number, key in enumerate(keys, start=1):
+                counts = _count(agent, evaluator, folder, key)
+                rows += _rows(key, counts)
+                print(f"{number}/{len(keys)} {key}: {counts.falls} falls", flush=True)
+        text = io.StringIO()
+        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        write_text_atomic(options.results / "alarms.csv", text.getvalue())
+        for path in alarm_figure.draw(folder):
+            print(path)
+    except ResultsError as error:
+        raise BadInput(str(error)) from error
+    return 0
+
+
+def _count(agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunKey) -> AlarmCounts:
+    spec, end = load_trained(folder, key)
+    indicator = jax.jit(jax.vmap(agent.indicator))
+    sizes: list[np.ndarray] = []
+
+    def watch(observation: np.ndarray, active: np.ndarray) -> None:
+        del active  # the rows tell how long each episode was
+        sizes.append(np.abs(np.asarray(indicator(observation))))
+
+    rows = evaluate_policies(evaluator, "autonomous", spec, [end], watch)
+    played = np.array(sizes)
+    return total(
+        [
+            count_alarms(played[: row["length"], walker], bool(row["fall"]), BOUNDARIES)
+            for walker, row in enumerate(rows)
+        ]
+    )
+
+
+def _rows(key: RunKey, counts: AlarmCounts) -> list[dict[str, Any]]:
+    return [
+        {
+            "method": key.method,
+            "seed": key.seed,
+            "boundary": round(float(boundary), 6),
+            "steps": counts.steps,
+            "alarms": int(counts.alarms[place]),
+            "timely_alarms": int(counts.timely_alarms[place]),
+            "falls": counts.falls,
+            "warned_falls": int(counts.warned_falls[place]),
+            "lead_steps": int(counts.lead_steps[place]),
+        }
+        for place, boundary in enumerate(BOUNDARIES)
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(run_main(AlarmOptions, main))

@@ -1,0 +1,51 @@
+"""Walkers of a results folder as they were when training ended."""
+
+from typing import Any
+
+from hitl_jax import checkpoint
+from hitl_jax.agent import Agent, make_agent
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.files import ResultsError
+from hitl_jax.human import HumanParams
+from hitl_jax.results import ResultsFolder, RunKey
+from hitl_jax.rollout import RunSpec, Snapshot
+from hitl_jax.types import Behavior
+
+
+def agent_of(folder: ResultsFolder) -> Agent:
+    """The team that was trained; the human's actions are the scripted walker's.
+
+    Raises:
+        ResultsError: if the folder was not written by this program.
+    """
+    choices = _section(folder, "agent")
+    lists = {name: tuple(value) for name, value in choices.items() if isinstance(value, list)}
+    try:
+        return make_agent(AgentConfig(**choices | lists))
+    except (TypeError, ValueError) as error:
+        raise ResultsError(f"{folder.path}: config.json: {error}") from error
+
+
+def load_trained(folder: ResultsFolder, key: RunKey) -> tuple[RunSpec, Snapshot]:
+    """A finished run and what acts at its end.
+
+    Raises:
+        ResultsError: if the run is not there, or is not of this program.
+    """
+    numbers = _section(folder, "hyper")
+    try:
+        hyper = Hyper(**numbers | {"human": HumanParams(**numbers["human"])})
+        params = checkpoint.unflatten(folder.load_params(key))
+        acts = Behavior(actor=params["actor"], boundary_actor=params["boundary_actor"])
+        method = Method(key.method)
+        spec = RunSpec(method, key.seed, hyper_for(method, hyper), folder.load_config()["episodes"])
+        return spec, Snapshot(spec.episodes, acts, params["boundary"])
+    except (TypeError, ValueError, KeyError) as error:
+        raise ResultsError(f"{folder.path}: {key}: {error}") from error
+
+
+def _section(folder: ResultsFolder, name: str) -> dict[str, Any]:
+    section = folder.load_config().get(name)
+    if not isinstance(section, dict):
+        raise ResultsError(f"{folder.path}: config.json has no {name!r}: not of a sweep")
+    return section

@@ -1,0 +1,40 @@
+"""Alarms at any boundary: counted by hand, and as the tests of a run count them."""
+
+import numpy as np
+
+from experiments import alarms as command
+from experiments.cli import run_main
+from hitl_jax.alarms import count_alarms, total
+
+_TAUS = np.array([0.0, 0.5, 2.0])
+
+
+def test_a_fall_by_hand():
+    size = np.array([0.6, 0.1, 0.1, 0.7, 0.1, 1.5])
+    counts = count_alarms(size, fell=True, boundaries=_TAUS, window=4)
+    assert (counts.steps, counts.falls) == (6, 1)
+    assert counts.alarms.tolist() == [6, 3, 0]
+    assert counts.timely_alarms.tolist() == [4, 2, 0]
+    assert counts.warned_falls.tolist() == [1, 1, 0]
+    assert counts.lead_steps.tolist() == [3, 2, 0]
+
+
+def test_without_a_fall_no_alarm_is_timely():
+    counts = count_alarms(np.array([0.6, 0.1]), fell=False, boundaries=_TAUS)
+    assert (counts.steps, counts.falls) == (2, 0)
+    assert counts.alarms.tolist() == [2, 1, 0]
+    assert counts.timely_alarms.sum() == counts.warned_falls.sum() == counts.lead_steps.sum() == 0
+
+
+def test_episodes_add_up():
+    one = count_alarms(np.array([0.6]), fell=True, boundaries=_TAUS)
+    both = total([one, one])
+    assert (both.steps, both.falls) == (2, 2)
+    assert both.alarms.tolist() == [2, 2, 0]
+
+
+def test_the_folder_must_hold_runs(tmp_path, capsys):
+    assert run_main(command.AlarmOptions, command.main, [str(tmp_path)]) == 2
+    assert capsys.readouterr().err == f"error: {tmp_path}: no results here (no config.json)\n"
+    assert run_main(command.AlarmOptions, command.main, [str(tmp_path), "--episodes", "0"]) == 2
+    assert "--episodes 0: must be at least 1" in capsys.readouterr().err
