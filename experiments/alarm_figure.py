@@ -11,11 +11,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from hitl_jax import figures, stats
+from hitl_jax import stats
+from hitl_jax.figure_parts import line_style, paper_style, save
+from hitl_jax.figures import boundary_label
 from hitl_jax.files import named_errors
 from hitl_jax.results import ResultsFolder
 from hitl_jax.summary import STEPS_PER_SECOND
 from hitl_jax.tables import METHODS
+
+DATA = "alarms.csv"
+"""In a results folder."""
 
 _COUNTS = ("steps", "alarms", "timely_alarms", "falls", "warned_falls", "lead_steps")
 _RESAMPLES = 1000
@@ -33,11 +38,11 @@ def draw(folder: ResultsFolder) -> list[pathlib.Path]:
     Raises:
         ResultsError: if the data or the runs are damaged.
     """
-    path = folder.path / "alarms.csv"
+    path = folder.path / DATA
     with named_errors(path):
         boundaries, methods = _load(path.read_text())
-    with figures.paper_style():
-        return figures.save(
+    with paper_style():
+        return save(
             _figure(boundaries, methods, folder), folder.path / "figures" / "figure8_alarms"
         )
 
@@ -74,9 +79,9 @@ def _figure(boundaries: np.ndarray, methods: dict[str, Counts], folder: ResultsF
         axes.set_ylim(bottom=0.0)
     panels[0].set(yscale="log", ylim=(1e-5, 1.5))
     for axes in panels[2:]:
-        axes.set(xlabel=figures.boundary_label(folder))
+        axes.set(xlabel=boundary_label(folder))
     marks = [
-        Line2D([], [], label=method.upper(), linewidth=1.6, **figures.line_style(method))
+        Line2D([], [], label=method.upper(), linewidth=1.6, **line_style(method))
         for method in methods
     ]
     marks += _mark_boundaries(panels, folder)
@@ -98,7 +103,7 @@ def _draw_share(
     if not enough.any():
         return
     x, part, whole = x[enough], part[:, enough], whole[:, enough]
-    style = figures.line_style(method)
+    style = line_style(method)
     axes.plot(x, part.sum(0) / whole.sum(0), linewidth=1.6, **style)
     drawn = rng.integers(len(part), size=(_RESAMPLES, len(part)))
     parts, wholes = part[drawn].sum(1), whole[drawn].sum(1)
@@ -116,7 +121,7 @@ def _mark_boundaries(panels: list[Axes], folder: ResultsFolder) -> list[Any]:
         if run.key.method == "hitl-ac"
     ]
     threshold: dict[str, Any] = {"color": "#444444", "linewidth": 0.9, "linestyle": "--"}
-    band: dict[str, Any] = {"color": figures.line_style("hitl-ac")["color"], "alpha": 0.3}
+    band: dict[str, Any] = {"color": line_style("hitl-ac")["color"], "alpha": 0.3}
     for axes in panels:
         axes.axvline(tolerance, **threshold)
         if ends:

@@ -78,7 +78,7 @@ def main(options: AlarmOptions) -> int:
         writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-        write_text_atomic(options.results / "alarms.csv", text.getvalue())
+        write_text_atomic(options.results / alarm_figure.DATA, text.getvalue())
         for path in alarm_figure.draw(folder):
             print(path)
     except ResultsError as error:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from experiments import alarm_figure
 from experiments.ablation import AblationOptions, lines_of, write_ablation
 from experiments.ablations.settings import ABLATIONS
 from experiments.ablations.store import Store
@@ -35,7 +36,9 @@ _FIGURES = {
     "figure5_test": "test episodes",
     "figure5_progress": "autonomous tests during training",
     "figure6_boundary": "the boundary",
+    "figure6_moves": "what moved it",
     "figure7_human": "the human's work",
+    "figure8_alarms": "alarms at any boundary",
 }
 
 
@@ -106,6 +109,8 @@ def _comparison(comparison: _Comparison, root: pathlib.Path) -> str:
         return f"{title}\nNot run yet.\n"
     write_summary(folder, np.random.default_rng(stats.SEED))
     draw_all(folder, np.random.default_rng(stats.SEED))
+    if (folder.path / alarm_figure.DATA).exists():
+        alarm_figure.draw(folder)
     runs: dict[str, list[Run]] = {}
     for run in folder.load_all():
         runs.setdefault(run.key.method, []).append(run)

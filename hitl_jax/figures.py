@@ -1,19 +1,14 @@
 """The paper's figures 4 to 6 and the human's burden, drawn from saved data only.
 
-Each figure is a PNG and an SVG in OUT/figures. Colours keep the paper's roles (SRL red, HITL-FIX
-green, HITL-AC blue) in the colour-blind-safe shades of Okabe and Ito
-(https://jfly.uni-koeln.de/color/), and each method has its own line style. Curves are interquartile
-means over seeds with bootstrap 95 % bands. Where seeds have data of different lengths, each point
-is over those that reach it, and the curve ends where fewer than half do.
+Each figure is a PNG and an SVG in OUT/figures. Curves are interquartile means over seeds with
+bootstrap 95 % bands. Where seeds have data of different lengths, each point is over those that
+reach it, and the curve ends where fewer than half do.
 """
 
-import io
 import pathlib
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -21,32 +16,24 @@ from matplotlib.lines import Line2D
 
 from hitl_jax import stats
 from hitl_jax.curves import Curve, over_episodes, over_seeds, over_steps
-from hitl_jax.files import write_bytes_atomic
+from hitl_jax.figure_parts import (
+    COLOURS,
+    COLUMN,
+    GREY,
+    PAGE,
+    draw_band,
+    draw_curve,
+    legend,
+    line_style,
+    mark_solved,
+    method_label,
+    panels,
+    paper_style,
+    save,
+)
 from hitl_jax.results import ResultsFolder, flatten
 from hitl_jax.summary import skill_over_training
 from hitl_jax.tables import METHODS, Table, select
-
-SOLVED = 300.0
-"""The return that counts as solving BipedalWalker."""
-
-_COLOURS = {"srl": "#D55E00", "hitl-fix": "#009E73", "hitl-ac": "#0072B2"}
-_GREY = "#444444"
-_DASHES: dict[str, tuple[float, ...]] = {"srl": (1.2, 1.2), "hitl-fix": (5.0, 1.6), "hitl-ac": ()}
-_COLUMN, _PAGE = 4.2, 7.2  # inches; shrunk to a paper's 3.5 and 7.2, 9 point is at least 7.5
-_DOTS_PER_INCH = 250
-_STYLE: Any = {
-    "font.size": 9.0,
-    "legend.fontsize": 8.0,
-    "legend.title_fontsize": 8.0,
-    "legend.frameon": False,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.6,
-    "svg.hashsalt": "hitl_jax",  # the same data give the same file
-}
 
 
 class _Method(NamedTuple):
@@ -64,17 +51,22 @@ class _Method(NamedTuple):
     progress: list[np.ndarray]
 
 
+class _Moves(NamedTuple):
+    """The Δ rule where it is executed: τ_0, Δ⁻, Δ⁺, and whether an actor's output is added."""
+
+    initial: float
+    minus: float
+    plus: float
+    has_actor: bool
+
+
 class _Data(NamedTuple):
     """What the figures draw; `window` is the number of episodes that returns are smoothed over."""
 
     methods: list[_Method]
     window: int
     boundary_label: str
-
-
-def paper_style() -> AbstractContextManager[None]:
-    """Fonts, grid and frames of all figures, within a `with`."""
-    return matplotlib.rc_context(_STYLE)
+    moves: _Moves | None
 
 
 def draw_all(
@@ -99,6 +91,7 @@ def draw_all(
         "figure5_test": _draw_tests,
         "figure5_progress": _draw_progress,
         "figure6_boundary": _draw_boundary,
+        "figure6_moves": _draw_moves,
         "figure7_human": _draw_human,
     }
     paths: list[pathlib.Path] = []
@@ -107,7 +100,7 @@ def draw_all(
         for name, draw in drawings.items():
             figure = draw(data, rng)
             if figure is None:
-                notes.append(f"{name}: no data for it yet")
+                notes.append(f"{name}: no data for it")
                 continue
             paths += save(figure, folder.path / "figures" / name)
     return paths, notes
@@ -128,7 +121,19 @@ def _load(folder: ResultsFolder) -> _Data:
             tests = [run.tests for run in tested]
             methods.append(_Method(name, training, len(begun), tests, points, progress))
     longest = max((len(t["episode"]) for m in methods for t in m.training), default=0)
-    return _Data(methods, int(np.clip(longest // 10, 20, 100)), boundary_label(folder))
+    window = int(np.clip(longest // 10, 20, 100))
+    return _Data(methods, window, boundary_label(folder), _moves(folder.load_config()))
+
+
+def _moves(config: dict[str, Any]) -> _Moves | None:
+    source = config.get("agent", {}).get("boundary_source")
+    if source not in ("rule", "residual"):
+        return None
+    numbers = config["hyper"]
+    initial, minus, plus = (
+        numbers[name] for name in ("initial_boundary", "delta_minus", "delta_plus")
+    )
+    return _Moves(initial, minus, plus, source == "residual")
 
 
 def boundary_label(folder: ResultsFolder) -> str:
@@ -157,11 +162,11 @@ def _draw_steps(data: _Data, rng: np.random.Generator) -> Figure | None:
 def _draw_returns(data: _Data, curves: list[tuple[_Method, Curve]], x_label: str) -> Figure | None:
     if not curves:
         return None
-    figure, [axes] = _panels(1, 1, (_COLUMN, 3.7))
-    lines = [_draw_curve(axes, m, curve) for m, curve in curves]
+    figure, [axes] = panels(1, 1, (COLUMN, 3.7))
+    lines = [draw_curve(axes, m.name, curve, m.unfinished) for m, curve in curves]
     axes.set(xlabel=x_label, ylabel=_return_label(data))
-    _mark_solved(axes, "solved")
-    _legend(figure, lines)
+    mark_solved(axes, "solved")
+    legend(figure, lines)
     return figure
 
 
@@ -170,7 +175,7 @@ def _draw_tests(data: _Data, rng: np.random.Generator) -> Figure | None:
     methods = [m for m in data.methods if m.tests]
     if not methods:
         return None
-    figure, [left, right] = _panels(1, 2, (_PAGE, 3.5))
+    figure, [left, right] = panels(1, 2, (PAGE, 3.5))
     left.sharey(right)
     lines: list[Line2D] = []
     for place, m in enumerate(methods):
@@ -178,10 +183,10 @@ def _draw_tests(data: _Data, rng: np.random.Generator) -> Figure | None:
         assisted = [select(t, "mode", "assisted")["return"] for t in m.tests]
         assisted = [returns for returns in assisted if len(returns)]
         curve = over_seeds(np.arange(1, 1 + max(map(len, autonomous))), autonomous, stats.mean, rng)
-        label = _label(m.name, len(autonomous), "no interval")
+        label = method_label(m.name, len(autonomous), "no interval")
         lines += left.plot(curve.x, curve.centre, label=label, linewidth=1.0, **line_style(m.name))
         shift = 0.17 if assisted else 0.0
-        _draw_seeds(right, place - shift, autonomous, m.name, _COLOURS[m.name], rng)
+        _draw_seeds(right, place - shift, autonomous, m.name, COLOURS[m.name], rng)
         if assisted:
             _draw_seeds(right, place + shift, assisted, m.name, "white", rng)
     left.set(xlabel="autonomous test episode", ylabel="return, mean over seeds")
@@ -189,15 +194,15 @@ def _draw_tests(data: _Data, rng: np.random.Generator) -> Figure | None:
     right.set(xlim=(-0.5, len(methods) - 0.5), ylabel="mean test return")
     right.grid(visible=False, axis="x")
     for axes in (left, right):
-        _mark_solved(axes, "")  # good walkers stand where the word would
+        mark_solved(axes, "")  # good walkers stand where the word would
     marks = [
-        Line2D([], [], color=_GREY, marker="o", markerfacecolor=face, label=label)
+        Line2D([], [], color=GREY, marker="o", markerfacecolor=face, label=label)
         for face, label in (
-            (_GREY, "autonomous: mean over seeds, bootstrap 95 % interval; small: each seed"),
+            (GREY, "autonomous: mean over seeds, bootstrap 95 % interval; small: each seed"),
             ("white", "assisted by the human: likewise"),
         )
     ]
-    lines.append(Line2D([], [], color=_GREY, linewidth=0.9, linestyle="--", label="solved"))
+    lines.append(Line2D([], [], color=GREY, linewidth=0.9, linestyle="--", label="solved"))
     figure.legend(handles=lines, loc="outside upper center", ncols=4)
     figure.legend(handles=marks, loc="outside lower center", ncols=2)
     return figure
@@ -208,15 +213,15 @@ def _draw_progress(data: _Data, rng: np.random.Generator) -> Figure | None:
     methods = [m for m in data.methods if m.progress]
     if not methods:
         return None
-    figure, [axes] = _panels(1, 1, (_COLUMN, 3.7))
+    figure, [axes] = panels(1, 1, (COLUMN, 3.7))
     lines = []
     for m in methods:
         curve = over_seeds(m.points, m.progress, stats.interquartile_mean, rng)
-        lines.append(_draw_curve(axes, m._replace(unfinished=0), curve))
+        lines.append(draw_curve(axes, m.name, curve))
         lines[-1].set(marker="o", markersize=4)
     axes.set(xlabel="training episodes before the test", ylabel="autonomous test return")
-    _mark_solved(axes, "solved")
-    _legend(figure, lines)
+    mark_solved(axes, "solved")
+    legend(figure, lines)
     return figure
 
 
@@ -225,22 +230,53 @@ def _draw_boundary(data: _Data, rng: np.random.Generator) -> Figure | None:
     methods = _with_human(data)
     if not methods:
         return None
-    figure, [upper, lower] = _panels(2, 1, (_COLUMN, 5.2), sharex=True)
+    figure, [upper, lower] = panels(2, 1, (COLUMN, 5.2), sharex=True)
     lines: list[Line2D] = []
     seed_lines: list[Line2D] = []
     for m in methods:
         if m.name == "hitl-ac":  # the others' boundaries do not differ from seed to seed
-            thin: dict[str, Any] = {"color": _COLOURS[m.name], "alpha": 0.35, "linewidth": 0.5}
+            thin: dict[str, Any] = {"color": COLOURS[m.name], "alpha": 0.35, "linewidth": 0.5}
             for t in m.training:
                 seed_lines += upper.plot(t["episode"], t["mean_boundary"], **thin)
             seed_lines[0].set_label(f"{m.name.upper()}, each seed")
-        _draw_curve(upper, m, over_episodes(_column(m, "mean_boundary"), 1, rng))
+        draw_curve(upper, m.name, over_episodes(_column(m, "mean_boundary"), 1, rng))
         curve = over_episodes(_column(m, "return"), data.window, rng)
-        lines.append(_draw_curve(lower, m, curve))
+        lines.append(draw_curve(lower, m.name, curve, m.unfinished))
     upper.set(ylabel=f"{data.boundary_label},\nmean of the episode")
     lower.set(xlabel="training episode", ylabel=_return_label(data))
-    _mark_solved(lower, "solved")
-    _legend(figure, lines + seed_lines[:1])
+    mark_solved(lower, "solved")
+    legend(figure, lines + seed_lines[:1])
+    return figure
+
+
+def _draw_moves(data: _Data, rng: np.random.Generator) -> Figure | None:
+    """What moved HITL-AC's boundary from τ_0: alarms, by line 8, or the actor."""
+    methods = [m for m in _trained(data) if m.name == "hitl-ac"]
+    if not methods or data.moves is None:
+        return None
+    [m] = methods
+    rule = data.moves
+    moved = [t["final_boundary"] - rule.initial for t in m.training]
+    down = [-rule.minus * np.cumsum(t["true_alarms"]) for t in m.training]
+    up = [rule.plus * np.cumsum(t["false_alarms"]) for t in m.training]
+    parts: dict[str, tuple[str, tuple[float, ...], list[np.ndarray]]] = {
+        "true alarms (Δ⁻ each)": ("#CC79A7", (5.0, 1.6), down),
+        "false alarms (Δ⁺ each)": ("#E69F00", (1.2, 1.2), up),
+    }
+    if rule.has_actor:
+        rest = [y - d - u for y, d, u in zip(moved, down, up, strict=True)]
+        parts["the rest: the actor, and the bounds"] = ("#000000", (5.0, 1.6, 1.2, 1.6), rest)
+    figure, [axes] = panels(1, 1, (COLUMN, 3.9))
+    whole = draw_curve(axes, m.name, over_episodes(moved, 1, rng), m.unfinished)
+    whole.set_label("boundary, change since τ_0: " + str(whole.get_label()))
+    lines = [whole]
+    for name, (colour, dashes, values) in parts.items():
+        curve = over_episodes(values, 1, rng)
+        style: dict[str, Any] = {"color": colour, "linestyle": (0.0, dashes), "label": name}
+        lines += axes.plot(curve.x, curve.centre, linewidth=1.4, **style)
+        draw_band(axes, curve, colour)
+    axes.set(xlabel="training episode", ylabel=data.boundary_label.replace("[", "change [", 1))
+    legend(figure, lines)
     return figure
 
 
@@ -249,11 +285,12 @@ def _draw_human(data: _Data, rng: np.random.Generator) -> Figure | None:
     methods = _with_human(data)
     if not methods:
         return None
-    figure, [left, right] = _panels(1, 2, (_PAGE, 3.4))
+    figure, [left, right] = panels(1, 2, (PAGE, 3.4))
     lines: list[Line2D] = []
     for m in methods:
         interventions = _column(m, "interventions")
-        lines.append(_draw_curve(left, m, over_episodes(interventions, data.window, rng)))
+        curve = over_episodes(interventions, data.window, rng)
+        lines.append(draw_curve(left, m.name, curve, m.unfinished))
         # Episode by episode: over interventions as such, the seeds that need few would drop out.
         total = [np.cumsum(values) for values in interventions]
         burden = over_episodes(total, 1, rng)
@@ -261,24 +298,15 @@ def _draw_human(data: _Data, rng: np.random.Generator) -> Figure | None:
         right.plot(burden.centre, returns.centre, linewidth=1.6, **line_style(m.name))
         ends = [stats.trailing_mean(values, data.window)[-1] for values in _column(m, "return")]
         dots: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 3, "alpha": 0.6}
-        right.plot([values[-1] for values in total], ends, color=_COLOURS[m.name], **dots)
+        right.plot([values[-1] for values in total], ends, color=COLOURS[m.name], **dots)
     left.set(xlabel="training episode")
     left.set(ylabel=f"interventions per episode\n(mean of the last {data.window} episodes)")
     left.set_ylim(0.0, 1.05 * left.get_ylim()[1])
     right.set(ylabel=_return_label(data))
     right.set(xlabel="interventions so far\n(dot: last episode of a seed)")
-    _mark_solved(right, "solved")
-    _legend(figure, lines)
+    mark_solved(right, "solved")
+    legend(figure, lines)
     return figure
-
-
-def _draw_curve(axes: Axes, method: _Method, curve: Curve) -> Line2D:
-    label = _label(method.name, curve.seeds, "no band", method.unfinished)
-    [line] = axes.plot(curve.x, curve.centre, label=label, linewidth=1.6, **line_style(method.name))
-    if curve.seeds > 1:
-        colour = _COLOURS[method.name]
-        axes.fill_between(curve.x, curve.low, curve.high, color=colour, alpha=0.18, linewidth=0)
-    return line
 
 
 def _draw_seeds(
@@ -291,13 +319,13 @@ def _draw_seeds(
 ) -> None:
     """The mean return of each seed as a small dot, and their mean with its interval beside them."""
     means = np.array([values.mean() for values in returns])
-    marker: dict[str, Any] = {"color": _COLOURS[name], "marker": "o", "markerfacecolor": face}
+    marker: dict[str, Any] = {"color": COLOURS[name], "marker": "o", "markerfacecolor": face}
     marker |= {"linestyle": ""}
     spread = place - 0.08 + 0.06 * (np.arange(len(means)) % 3 - 1) / 2  # so that dots overlap less
     axes.plot(spread, means, markersize=3, alpha=0.7, **marker)
     if len(means) > 1:
         interval = stats.bootstrap_interval(means, stats.mean, rng)
-        axes.plot([place + 0.05] * 2, interval, color=_COLOURS[name], linewidth=1.4)
+        axes.plot([place + 0.05] * 2, interval, color=COLOURS[name], linewidth=1.4)
     axes.plot([place + 0.05], [means.mean()], markersize=7, **marker)
 
 
@@ -315,57 +343,3 @@ def _column(method: _Method, name: str) -> list[np.ndarray]:
 
 def _return_label(data: _Data) -> str:
     return f"training return\n(mean of the last {data.window} episodes)"
-
-
-def _label(name: str, seeds: int, without: str, unfinished: int = 0) -> str:
-    label = (
-        f"{name.upper()} ({seeds} seeds" if seeds > 1 else f"{name.upper()} ({without}: one seed"
-    )
-    return label + f", {unfinished} unfinished)" if unfinished else label + ")"
-
-
-def line_style(name: str) -> dict[str, Any]:
-    """Colour and dashes of a method, as matplotlib's arguments."""
-    return {"color": _COLOURS[name], "linestyle": (0.0, _DASHES[name])}
-
-
-def _mark_solved(axes: Axes, text: str) -> None:
-    """A dashed line at 300, always in view."""
-    axes.axhline(SOLVED, color=_GREY, linewidth=0.9, linestyle="--", zorder=1)
-    low, high = axes.get_ylim()
-    axes.set_ylim(top=max(high, SOLVED + 0.12 * (SOLVED - low)))
-    place: dict[str, Any] = {"xytext": (0, 2), "textcoords": "offset points"}
-    place |= {"ha": "right", "va": "bottom", "fontsize": 7.5}
-    axes.annotate(text, (1.0, SOLVED), xycoords=("axes fraction", "data"), **place)
-
-
-def _panels(
-    rows: int, columns: int, size: tuple[float, float], sharex: bool = False
-) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=size, layout="constrained")
-    return figure, list(figure.subplots(rows, columns, sharex=sharex, squeeze=False).flat)
-
-
-def _legend(figure: Figure, lines: list[Line2D]) -> None:
-    title = "interquartile mean over seeds; band: bootstrap 95 % interval"
-    figure.legend(handles=lines, title=title, loc="outside lower center")
-
-
-def save(figure: Figure, stem: pathlib.Path) -> list[pathlib.Path]:
-    """Writes a figure as PNG and SVG; the files written.
-
-    Args:
-        figure: drawn under `paper_style`.
-        stem: the files' path without its ending.
-
-    Raises:
-        ResultsError: if a file cannot be written.
-    """
-    paths = []
-    # Without a date in it, the same data give the same file.
-    for kind, metadata in (("png", None), ("svg", {"Date": None})):
-        picture = io.BytesIO()
-        figure.savefig(picture, format=kind, dpi=_DOTS_PER_INCH, metadata=metadata)
-        paths.append(stem.with_suffix(f".{kind}"))
-        write_bytes_atomic(paths[-1], picture.getvalue())
-    return paths

@@ -93,7 +93,8 @@ def target_quantiles(
     """TD targets of a return distribution, the largest of the pooled quantiles left out.
 
     y_j = R + discount · z_j over the pooled quantiles z of all critics but the `num_dropped`
-    largest (and what equals one of those), of equal weight (https://arxiv.org/abs/2005.04269, eq. 7 to 9), without a gradient.
+    largest (and what equals one of those), of equal weight, without a gradient
+    (https://arxiv.org/abs/2005.04269, eq. 7 to 9).
 
     Args:
         reward: n-step reward, [B].

@@ -23,6 +23,7 @@ NAMES = (
     "figure5_test",
     "figure5_progress",
     "figure6_boundary",
+    "figure6_moves",
     "figure7_human",
 )
 
@@ -68,7 +69,9 @@ def text_of(figure) -> str:
 @pytest.fixture
 def folder(tmp_path):
     folder = ResultsFolder(tmp_path / "out")
-    folder.create_or_resume({"agent": {"indicator": "hull_angle"}}, "command")
+    agent = {"indicator": "hull_angle", "boundary_source": "rule"}
+    hyper = {"initial_boundary": 0.7, "delta_minus": 1e-3, "delta_plus": 1e-3}
+    folder.create_or_resume({"agent": agent, "hyper": hyper}, "command")
     return folder
 
 
@@ -128,13 +131,14 @@ def test_early_results_draw_what_there_is(folder, drawn):
 def test_one_finished_run_of_one_method(folder, drawn):
     save(folder, "srl", 0, modes=("autonomous",))
     _, notes = draw_all(folder, rng())
-    assert [note.split(":")[0] for note in notes] == ["figure6_boundary", "figure7_human"]
+    without_human = {"figure6_boundary", "figure6_moves", "figure7_human"}
+    assert {note.split(":")[0] for note in notes} == without_human
     assert "SRL (no interval: one seed)" in text_of(drawn["figure5_test"])
 
 
 @pytest.mark.parametrize("modes", [(), ("assisted",)])
 def test_runs_without_autonomous_tests_skip_figure_5(folder, drawn, modes):
-    save(folder, "hitl-fix", 0, modes=modes)
+    save(folder, "hitl-ac", 0, modes=modes)
     _, notes = draw_all(folder, rng())
     assert [note.split(":")[0] for note in notes] == ["figure5_test", "figure5_progress"]
 
@@ -147,6 +151,22 @@ def test_figure_5_shows_the_means_of_the_tests(folder, drawn):
     heights = [line.get_ydata()[0] for line in right.get_lines()[:4]]
     # Autonomous 200 … 240, assisted 250 … 290: the seed's dot, then the mean over the one seed.
     assert heights == [220.0, 220.0, 270.0, 270.0]
+
+
+def test_what_moved_the_boundary_adds_up(tmp_path, drawn):
+    folder = ResultsFolder(tmp_path / "residual")
+    agent = {"indicator": "hull_angle", "boundary_source": "residual"}
+    hyper = {"initial_boundary": 0.6, "delta_minus": 0.01, "delta_plus": 0.02}
+    folder.create_or_resume({"agent": agent, "hyper": hyper}, "command")
+    training = make_training("hitl-ac", 0, 5)
+    training |= {"true_alarms": np.arange(5), "false_alarms": np.array([0, 2, 0, 0, 1])}
+    folder.write_partial(RunKey("hitl-ac", 0), training)
+    draw_all(folder, rng())
+    whole, down, up, rest = (line.get_ydata() for line in drawn["figure6_moves"].axes[0].lines)
+    np.testing.assert_allclose(whole, 0.1)  # from 0.6 to the 0.7 of every episode
+    np.testing.assert_allclose(down, [0.0, -0.01, -0.03, -0.06, -0.1])
+    np.testing.assert_allclose(up, [0.0, 0.04, 0.04, 0.04, 0.06])
+    np.testing.assert_allclose(whole, down + up + rest)
 
 
 def test_the_solved_line_is_always_in_view(folder, drawn):
@@ -177,7 +197,7 @@ def test_command_prints_the_files(folder, capsys):
     assert run_main(command.Options, command.main, [str(folder.path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert str(folder.path / "figures/figure4_training.png") in lines
-    assert "figure5_test: no data for it yet" in lines
+    assert "figure5_test: no data for it" in lines
 
 
 def test_command_refuses_in_one_line(folder, tmp_path, capsys):

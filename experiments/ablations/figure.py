@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.lines import Line2D
 
 from experiments.ablations.table import Line
-from hitl_jax import figures, stats
+from hitl_jax import figure_parts, stats
+from hitl_jax.figure_parts import line_style, paper_style
 from hitl_jax.tables import METHODS
 
 _PANELS = (
@@ -43,8 +44,7 @@ def draw(title: str, lines: list[Line], rng: np.random.Generator) -> matplotlib.
     panels[0].set_yticks(range(len(labels)), labels)
     figure.suptitle(title, fontsize=9.0)
     marks = [
-        Line2D([], [], marker="o", label=method.upper(), **figures.line_style(method))
-        for method in methods
+        Line2D([], [], marker="o", label=method.upper(), **line_style(method)) for method in methods
     ]
     guide = "mean over seeds, bootstrap 95 % interval; small: each seed"
     figure.legend(handles=marks, title=guide, loc="outside lower center", ncols=3)
@@ -55,7 +55,7 @@ def _draw_line(axes: Any, place: float, line: Line, measure: str, rng: np.random
     values = line.values(measure)
     if not values.size:
         return
-    colour = figures.line_style(line.method)["color"]
+    colour = line_style(line.method)["color"]
     dots: dict[str, Any] = {"linestyle": "", "marker": "o", "color": colour}
     axes.plot(values, np.full(values.size, place), markersize=2.5, alpha=0.5, **dots)
     if values.size > 1:
@@ -66,5 +66,5 @@ def _draw_line(axes: Any, place: float, line: Line, measure: str, rng: np.random
 
 def save(title: str, lines: list[Line], stem: pathlib.Path, rng: np.random.Generator) -> None:
     """Writes the figure as PNG and SVG."""
-    with figures.paper_style():
-        figures.save(draw(title, lines, rng), stem)
+    with paper_style():
+        figure_parts.save(draw(title, lines, rng), stem)
