@@ -37,6 +37,7 @@ _BASE: Changes = {
 
 _NORM: Changes = {"batch_size": 64, "layer_norm": True}
 _QUIET: Changes = _NORM | {"noise_free_every": 4}
+_TQC: Changes = _QUIET | {"learner": "td3-tqc"}
 _SLOW: Changes = {"actor_learning_rate": 5e-4, "critic_learning_rate": 5e-4}
 
 CONFIGURATIONS: dict[str, Changes] = {
@@ -47,7 +48,9 @@ CONFIGURATIONS: dict[str, Changes] = {
     "64-batch-64-norm-quiet": _QUIET | {"hidden_sizes": (64, 64)},
     "128-batch-64-norm-quiet-lr-5e-4": _QUIET | _SLOW,
     "128-batch-64-norm-quiet-n-8": _QUIET | {"n_step": 8},
-    "128-batch-64-norm-quiet-tqc": _QUIET | {"learner": "td3-tqc"},
+    "128-batch-64-norm-quiet-tqc": _TQC,
+    "128-batch-64-norm-quiet-tqc-noise-0.3": _TQC | {"exploration_noise": 0.3},
+    "128-batch-64-norm-quiet-tqc-quarter": _TQC | {"updates_per_step": 0.25},
 }
 """What each configuration changes of `_BASE`, by the names of the options."""
 
@@ -62,8 +65,10 @@ class TuningOptions:
     Attributes:
         configurations: some of 128-batch-128, 128-batch-64, 128-batch-64-norm,
             128-batch-64-norm-quiet, 64-batch-64-norm-quiet, 128-batch-64-norm-quiet-lr-5e-4,
-            128-batch-64-norm-quiet-n-8 (hidden units, minibatch, what else; `quiet` plays every
-            fourth training episode without action noise).
+            128-batch-64-norm-quiet-n-8, 128-batch-64-norm-quiet-tqc,
+            128-batch-64-norm-quiet-tqc-noise-0.3, 128-batch-64-norm-quiet-tqc-quarter (hidden
+            units, minibatch, what else; `quiet` plays every fourth training episode without action
+            noise, `quarter` makes one update in four ticks).
         seeds: number of seeds for each method.
         first_seed: the first of them; a sweep reports others.
         ticks: ticks of a run: environment steps and resets.
