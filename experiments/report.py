@@ -19,12 +19,14 @@ from experiments.ablations.store import Store
 from experiments.cli import BadInput, run_main
 from experiments.reports.claims import Claim, Results, judge
 from experiments.reports.starts import judge_starts
+from experiments.tuning import TuningOptions
+from experiments.tuning import table as tuning_table
 from hitl_jax import stats
 from hitl_jax.config import Method
 from hitl_jax.figures import draw_all
 from hitl_jax.files import ResultsError, write_text_atomic
 from hitl_jax.provenance import short_commit
-from hitl_jax.results import ResultsFolder, Run
+from hitl_jax.results import ResultsFolder, Run, flatten
 from hitl_jax.summary import write_summary
 
 _STARTS = "initial-boundary"
@@ -49,7 +51,11 @@ class _Comparison(NamedTuple):
     folder: str
 
 
-_COMPARISONS = (_Comparison("td3", "ten_seeds"), _Comparison("ddpg", "ten_seeds_ddpg"))
+_COMPARISONS = (
+    _Comparison("td3-tqc", "ten_seeds"),
+    _Comparison("td3", "ten_seeds_td3"),
+    _Comparison("ddpg", "ten_seeds_ddpg"),
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,8 +63,8 @@ class ReportOptions:
     """Rebuilds REPORT.md, the summaries, the tables and the figures of a folder of results.
 
     Attributes:
-        results: the folder, with `ten_seeds`, `ten_seeds_ddpg` and `ablations` in it; what is
-            missing is said in the report.
+        results: the folder, with `ten_seeds`, `ten_seeds_td3`, `ten_seeds_ddpg`, `ablations` and
+            `tuning` in it; what is missing is said in the report.
     """
 
     results: str = "results"
@@ -80,7 +86,7 @@ def main(options: ReportOptions) -> int:
         parts = [_HEAD]
         for comparison in _COMPARISONS:
             parts.append(_comparison(comparison, root))
-        parts.append(_ablations(root / "ablations"))
+        parts += [_ablations(root / "ablations"), _tuning(root / "tuning"), _settings(root)]
         path = root / "REPORT.md"
         write_text_atomic(path, "\n".join(parts))
     except ResultsError as error:
@@ -122,6 +128,11 @@ def _comparison(comparison: _Comparison, root: pathlib.Path) -> str:
         claims = judge(Results(runs, config["hyper"]["human"]["tolerance"]))
     except ValueError as error:
         return f"{title}\nUnder way: {error}.\n"
+    steps = sum(run.info["env_steps"] for of in runs.values() for run in of) / 1e6
+    machines = Counter(
+        run.info.get("machine", "not recorded") for of in runs.values() for run in of
+    )
+    where = ", ".join(f"{machine} ({count} runs)" for machine, count in machines.items())
     name = comparison.folder
     figures = "".join(
         f"![{text}]({name}/figures/{stem}.png)\n"
@@ -130,10 +141,44 @@ def _comparison(comparison: _Comparison, root: pathlib.Path) -> str:
     )
     return (
         f"{title}\nSeeds: {seeds}; {config['episodes']} training episodes and "
-        f"{config['test_episodes']} test episodes each. Commit {made}. Options, versions, time and "
-        f"cost of every run are in `{name}`, its tables in "
-        f"[{name}/summary.md]({name}/summary.md).\n\n{_claims(claims)}\n{figures}"
+        f"{config['test_episodes']} test episodes each, {steps:.1f} million environment steps of "
+        f"training. Commit {made}; machine: {where}. Options, versions, time and cost of every run "
+        f"are in `{name}`, its tables in [{name}/summary.md]({name}/summary.md).\n\n"
+        f"{_claims(claims)}\n{figures}"
     )
+
+
+def _tuning(folder: pathlib.Path) -> str:
+    title = "## Tuning\n"
+    options = TuningOptions()
+    if not any(folder.glob("*.json")):
+        return f"{title}\nNone kept.\n"
+    seeds = f"{options.first_seed} to {options.first_seed + options.seeds - 1}"
+    return (
+        f"{title}\nEvery configuration for all three methods: seeds {seeds}, which no comparison "
+        f"above has, {options.ticks:,} ticks (steps and resets) a run, {options.test_episodes} "
+        "autonomous test episodes. [README.md](README.md#tuning) has the configurations that were "
+        f"tried before.\n\n{tuning_table(folder, options)}"
+        "\n    python -m experiments.tuning --out results/tuning\n"
+    )
+
+
+def _settings(root: pathlib.Path) -> str:
+    """The options of every comparison that is there."""
+    title = "## Settings\n"
+    configs = {
+        comparison.folder: flatten(ResultsFolder(root / comparison.folder).load_config())
+        for comparison in _COMPARISONS
+        if (root / comparison.folder).exists()
+    }
+    if not configs:
+        return f"{title}\nNone.\n"
+    names = list(dict.fromkeys(name for config in configs.values() for name in config))
+    lines = [["option", *configs], ["---"] * (1 + len(configs))]
+    for name in names:
+        cells = (str(config.get(name, "not there yet")) for config in configs.values())
+        lines.append([name, *cells])
+    return title + "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def _claims(claims: list[Claim]) -> str:

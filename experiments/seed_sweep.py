@@ -29,7 +29,7 @@ from hitl_jax.envs import make_pool
 from hitl_jax.episodes import ALARM_WINDOW
 from hitl_jax.evaluation import milestones
 from hitl_jax.files import ResultsError
-from hitl_jax.provenance import git_commit, versions
+from hitl_jax.provenance import git_commit, machine, versions
 from hitl_jax.results import ResultsFolder, RunKey
 from hitl_jax.rollout import Rollout, RunSpec, num_slots
 from hitl_jax.summary import write_summary
@@ -120,7 +120,11 @@ class _Sweep:
         self._drawing: subprocess.Popen | None = None
         self._started = time.monotonic()
         self._draw_at = self._started + FIRST_FIGURES_SECONDS
-        self._provenance = {"versions": versions(), "commit": git_commit()}
+        self._provenance = {
+            "versions": versions(),
+            "commit": git_commit(),
+            "machine": machine(),
+        }
         self._progress = Progress(
             options.methods, num_runs, options.scale().episodes, num_runs - len(specs)
         )

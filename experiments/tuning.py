@@ -79,7 +79,7 @@ class TuningOptions:
     configurations: Annotated[tuple[str, ...], tyro.conf.arg(name="only")] = tuple(CONFIGURATIONS)
     seeds: int = 5
     first_seed: int = 100
-    ticks: int = 150_000
+    ticks: int = 200_000
     test_episodes: int = 20
     out: str = "runs/tuning"
 
@@ -91,7 +91,7 @@ def main(options: TuningOptions) -> int:
         _check(options)
         try:
             out.mkdir(parents=True, exist_ok=True)
-            files.write_text_atomic(out / "tuning.md", _table(out, options))
+            files.write_text_atomic(out / "tuning.md", table(out, options))
         except OSError as error:
             raise BadInput(f"--out {options.out}: {error.strerror}") from error
     keep_programs()
@@ -110,8 +110,8 @@ def main(options: TuningOptions) -> int:
         stages, tests = _measure(name, agent, loop, hyper, options)
         done = {"asked": asked, "commit": git_commit(), "stages": stages, "tests": tests}
         files.write_text_atomic(path, json.dumps(done, indent=1, allow_nan=False) + "\n")
-        files.write_text_atomic(out / "tuning.md", _table(out, options))
-    print(_table(out, options))
+        files.write_text_atomic(out / "tuning.md", table(out, options))
+    print(table(out, options))
     return 0
 
 
@@ -193,8 +193,13 @@ def _load(path: pathlib.Path) -> dict[str, Any] | None:
     return data if known else None
 
 
-def _table(out: pathlib.Path, options: TuningOptions) -> str:
-    """Markdown: a row for each configuration in the folder that had the same budget."""
+def table(out: pathlib.Path, options: TuningOptions) -> str:
+    """Markdown: a row for each configuration in the folder that had the same budget.
+
+    Args:
+        out: the folder.
+        options: the budget.
+    """
     head = ["configuration", "commit", "ticks/s, all runs"]
     for method in Method:
         head += [f"{method}: training by thirds", f"{method}: test (least to most)"]

@@ -1,6 +1,7 @@
-"""Where numbers come from: versions of what made them and the commit of this code."""
+"""Where numbers come from: versions, the commit of this code, the machine."""
 
 import importlib.metadata
+import os
 import pathlib
 import platform
 import subprocess
@@ -48,6 +49,17 @@ def git_commit() -> str | None:
         return _git(here.parent, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
     except (OSError, subprocess.SubprocessError):
         return None
+
+
+def machine() -> str:
+    """The processor's name and its number of cores."""
+    try:
+        with open("/proc/cpuinfo") as lines:
+            names = [line.partition(":")[2].strip() for line in lines if "model name" in line]
+    except OSError:
+        names = []
+    name = names[0] if names else platform.processor() or platform.machine()
+    return f"{name}, {os.cpu_count()} cores"
 
 
 def short_commit(commit: str | None) -> str:

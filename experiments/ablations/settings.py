@@ -46,14 +46,14 @@ def _each(option: str, values: tuple[float, ...], methods: tuple[Method, ...]) -
     return [Setting(f"{value:g}", {option: value}, methods) for value in values]
 
 
-_TRAINED = "results/ten_seeds/runs/hitl-fix/seed-0009/params.npz"
+_TRAINED = "results/ten_seeds_td3/runs/hitl-fix/seed-0009/params.npz"
 
 _TAKEOVER: Changes = {"intervention": "takeover"}
 _NETWORK: Changes = {"boundary_source": "network"}
 _RESIDUAL: Changes = {"boundary_source": "residual"}
 
 _BUDGET = 0.0013
-"""Interventions per step of HITL-AC in its first 300 episodes (results/ten_seeds)."""
+"""Interventions per step of HITL-AC in its first 300 episodes (results/ten_seeds_td3)."""
 
 _RANDOM: Changes = {
     "boundary_low": 0.0,

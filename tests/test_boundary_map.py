@@ -1,0 +1,64 @@
+"""The map of a boundary that an actor gives, from a folder with an untrained walker."""
+
+import csv
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from experiments import boundary_map
+from experiments.cli import run_main
+from experiments.trained import agent_of, load_trained
+from hitl_jax import agent as agents
+from hitl_jax import checkpoint
+from hitl_jax.config import AgentConfig, Hyper
+from hitl_jax.results import ResultsFolder, RunKey
+from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
+
+_KEY = RunKey("hitl-ac", 0)
+
+
+def _folder(path, source):
+    config = AgentConfig(hidden_sizes=(16,), boundary_source=source)
+    folder = ResultsFolder(path)
+    hyper = dataclasses.asdict(Hyper(initial_boundary=0.6))
+    document = {"agent": dataclasses.asdict(config), "hyper": hyper, "episodes": 7}
+    folder.create_or_resume(document, "command")
+    state = agents.init(agents.make_agent(config), jax.random.key(0))
+    info = {"config": {}, "versions": {}, "commit": None}
+    info |= {"wall_seconds": 1.0, "env_steps": 0, "updates": 0}
+    tables = ({name: [] for name in names} for names in (EPISODE_COLUMNS, TEST_COLUMNS))
+    folder.save_run(_KEY, *tables, checkpoint.flatten(state, np.float32(0.25)), info)
+    return folder
+
+
+def _run(folder, *options):
+    return run_main(boundary_map.MapOptions, boundary_map.main, [str(folder.path), *options])
+
+
+@pytest.mark.parametrize(("source", "expected"), [("network", 0.6), ("residual", 0.85)])
+def test_the_map_shows_what_is_executed(tmp_path, source, expected):
+    folder = _folder(tmp_path / "out", source)
+    assert _run(folder, "--episodes", "2") == 0
+    rows = list(csv.DictReader((folder.path / boundary_map.DATA).read_text().splitlines()))
+    assert rows
+    # An untrained actor gives τ_0 everywhere; `residual` adds what line 8 has gathered.
+    assert [float(row["boundary"]) for row in rows] == pytest.approx([expected] * len(rows))
+    assert (folder.path / "figures" / "figure9_map.png").exists()
+
+
+def test_the_rule_has_no_map(tmp_path, capsys):
+    assert _run(_folder(tmp_path / "out", "rule")) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert "its boundary source is rule: must be one of network, residual" in said
+
+
+def test_a_run_comes_back_as_it_trained(tmp_path):
+    folder = _folder(tmp_path / "out", "network")
+    assert agent_of(folder).config.hidden_sizes == (16,)
+    spec, end = load_trained(folder, _KEY)
+    assert (spec.method, spec.seed, spec.episodes) == ("hitl-ac", 0, 7)
+    assert spec.hyper.initial_boundary == 0.6
+    assert end.boundary == np.float32(0.25)
