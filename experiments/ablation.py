@@ -26,6 +26,7 @@ from experiments.progress import Progress
 from experiments.training import Plant, make_team, train_and_test
 from hitl_jax import stats
 from hitl_jax.config import Method, hyper_for, require
+from hitl_jax.figure_parts import paper_style, save
 from hitl_jax.files import ResultsError, write_text_atomic
 from hitl_jax.provenance import git_commit, short_commit
 from hitl_jax.results import Run, RunKey
@@ -231,10 +232,12 @@ def write_ablation(name: str, options: AblationOptions, store: Store) -> str:
             f"\n\n**Under way**: {done} of {asked} runs; those that end first are no fair choice."
         )
     rng = np.random.default_rng(stats.SEED)
-    title = ABLATIONS[name].title
-    text = to_markdown(title, budget, lines, rng)
+    ablation = ABLATIONS[name]
+    text = to_markdown(ablation.title, budget, lines, rng)
     write_text_atomic(store.path.parent / f"{name}.md", text)
-    figure.save(title, lines, store.path.parent / name, rng)
+    draw = figure.draw_curves if ablation.is_number else figure.draw_rows
+    with paper_style():
+        save(draw(ablation.title, lines, rng), store.path.parent / name)
     return text
 
 

@@ -59,7 +59,7 @@ class AgentConfig:
         action_size: length of an action.
     """
 
-    learner: str = "td3"
+    learner: str = "td3-tqc"
     hidden_sizes: tuple[int, ...] = (128, 128)
     layer_norm: bool = True
     batch_size: int = 64

@@ -39,8 +39,13 @@ def _train(agent, hyper, frames, updates):
     return _learn(agent, hyper, state, memory, jnp.int32(0), updates)
 
 
-@pytest.mark.parametrize("learner", ["ddpg", "td3"])
-@pytest.mark.parametrize("layer_norm", [False, True])
+_plain_and_normalised = pytest.mark.parametrize(
+    ("learner", "layer_norm"),
+    [("ddpg", False), ("ddpg", True), ("td3", False), ("td3", True), ("td3-tqc", True)],
+)
+
+
+@_plain_and_normalised
 def test_learns_a_policy_of_known_value(learner, layer_norm):
     """One-step episodes with r = 1 − (a − s/2)²: μ(s) = s/2 and Q(s, μ(s)) = 1."""
     agent = _probe_agent(learner, layer_norm=layer_norm)
@@ -65,9 +70,8 @@ def test_learns_a_policy_of_known_value(learner, layer_norm):
 
 # The two endings stand next to each other, since they share a compiled program.
 @pytest.mark.parametrize(("ending", "last"), [("terminated", 1.0), ("truncated", 2.0)])
-@pytest.mark.parametrize("learner", ["ddpg", "td3"])
 @pytest.mark.parametrize("n_step", [1, 3])
-@pytest.mark.parametrize("layer_norm", [False, True])
+@_plain_and_normalised
 def test_bootstraps_through_time_limits_and_not_through_ends(
     learner, n_step, ending, last, layer_norm
 ):

@@ -36,10 +36,13 @@ class Ablation:
     Attributes:
         title: what is taken apart.
         settings: its rows.
+        is_number: whether the settings are values of one number, with which their labels begin;
+            the figure then has curves over it.
     """
 
     title: str
     settings: tuple[Setting, ...]
+    is_number: bool = False
 
 
 def _each(option: str, values: tuple[float, ...], methods: tuple[Method, ...]) -> list[Setting]:
@@ -118,6 +121,7 @@ ABLATIONS: dict[str, Ablation] = {
             Setting("0.7 (default)", methods=_HUMAN),
             *_each("initial_boundary", (1.0, 1.4), _HUMAN),
         ),
+        is_number=True,
     ),
     "indicator": Ablation(
         "The safety indicator",
@@ -136,6 +140,7 @@ ABLATIONS: dict[str, Ablation] = {
             Setting("0 (default)", methods=_HUMAN),
             *_each("delay", (10, 25), _HUMAN),
         ),
+        is_number=True,
     ),
     "human-mistakes": Ablation(
         "Share of wrong judgements",
@@ -143,6 +148,7 @@ ABLATIONS: dict[str, Ablation] = {
             Setting("0 (default)", methods=_HUMAN),
             *_each("mistake_rate", (0.1, 0.3), _HUMAN),
         ),
+        is_number=True,
     ),
     "human-attention": Ablation(
         "Lapses and limited attention",

@@ -1,5 +1,6 @@
 """The learner beside the machine's own float32 matrix product."""
 
+import dataclasses
 import itertools
 from collections.abc import Callable
 
@@ -54,8 +55,9 @@ def measure_product(seconds: float) -> float:
 
 def measure_learner(seconds: float, tile: int | None) -> list[Row]:
     """Updates/s and GFLOP/s beside the product's rate: sizes that have a bar, and the default."""
-    wide = AgentConfig(hidden_sizes=(256, 256), batch_size=256, layer_norm=False)
-    narrow = AgentConfig(hidden_sizes=(128, 128), batch_size=128, layer_norm=False)
+    plain = AgentConfig(learner="td3", layer_norm=False)
+    wide = dataclasses.replace(plain, hidden_sizes=(256, 256), batch_size=256)
+    narrow = dataclasses.replace(plain, hidden_sizes=(128, 128), batch_size=128)
     peak = measure_product(seconds)
     rows = [
         _learner_row(wide, 12, 0.45, seconds, tile),

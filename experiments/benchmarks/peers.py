@@ -167,7 +167,11 @@ def _sbx_steps(
 def _ours(width: int, batch_size: int, backend: str, seconds: float) -> float:
     """Steps/s of the whole loop, SRL, the method that SBX's is."""
     config = AgentConfig(
-        hidden_sizes=(width, width), batch_size=batch_size, n_step=1, layer_norm=False
+        learner="td3",
+        hidden_sizes=(width, width),
+        batch_size=batch_size,
+        n_step=1,
+        layer_norm=False,
     )
     loop = LoopConfig(chunk=TOGETHER, updates_per_step=1.0)
     with make_pool(backend, num_slots(RUNS, RUNS)) as pool:
