@@ -27,6 +27,7 @@ from hitl_jax.provenance import git_commit, short_commit
 from hitl_jax.rollout import LoopConfig, Rollout, Run, RunSpec, num_slots
 
 _BASE: Changes = {
+    "learner": "td3",
     "hidden_sizes": (128, 128),
     "layer_norm": False,
     "batch_size": 128,
