@@ -11,6 +11,7 @@ Acting. One small program for all runs on one device, called once a tick by the 
 remembers, and hyperparameters, are packed: each array of a call costs the host time.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -79,6 +80,11 @@ class Programs(NamedTuple):
         unpack_behavior: (packed of each device) to what acting needs of all runs, one device after
             the other.
         boundaries: acting to the carry of each run's boundary source, [R] or [R, K].
+        pack_train: training states [R, ...] as words, uint32 [R, P].
+        restore: (seats, slot, training state as words [P], the run's column of the ring [T, W],
+            value of the cursor when the run began) to seats with that run in `slot`; donates.
+        restore_acting: (acting, slot, acting state as words [S]) to acting; donates.
+        begin_ring: (seats, value) to seats whose rings have their cursor there; donates.
     """
 
     seat: Callable[..., Seats]
@@ -89,6 +95,10 @@ class Programs(NamedTuple):
     seat_behavior: Callable[..., chex.Array]
     unpack_behavior: Callable[[Sequence[chex.Array]], Behavior]
     boundaries: Callable[[Acting], chex.Array]
+    pack_train: Callable[[TrainState], chex.Array]
+    restore: Callable[..., Seats]
+    restore_acting: Callable[..., Acting]
+    begin_ring: Callable[..., Seats]
 
 
 def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, chex.PRNGKey]:
@@ -181,6 +191,22 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         like = _some_acting(agent)
         return jax.vmap(lambda state: unpack(like, state).boundary)(acting.state)
 
+    def restore(
+        seats: Seats, slot: chex.Array, words: chex.Array, ring: chex.Array, start: chex.Array
+    ) -> Seats:
+        like = jax.eval_shape(lambda: agents.init(agent, make_key(0)))
+        return seats._replace(
+            train=_put(seats.train, slot, unpack(like, words)),
+            memory=replay.restore(seats.memory, slot, ring, start),
+        )
+
+    def begin_ring(seats: Seats, cursor: chex.Array) -> Seats:
+        memory = dataclasses.replace(seats.memory, cursor=jnp.asarray(cursor, jnp.int32))
+        return seats._replace(memory=memory)
+
+    def restore_acting(acting: Acting, slot: chex.Array, words: chex.Array) -> Acting:
+        return acting._replace(state=acting.state.at[slot].set(words))
+
     def seat_behavior(packed: chex.Array, slot: chex.Array, row: chex.Array) -> chex.Array:
         return packed.at[slot].set(row[0])
 
@@ -193,6 +219,10 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         seat_behavior=jax.jit(seat_behavior, donate_argnums=0),
         unpack_behavior=jax.jit(functools.partial(_unpack_behavior, agent)),
         boundaries=jax.jit(boundaries),
+        pack_train=jax.jit(jax.vmap(pack)),
+        restore=jax.jit(restore, donate_argnums=0),
+        restore_acting=jax.jit(restore_acting, donate_argnums=0),
+        begin_ring=jax.jit(begin_ring, donate_argnums=0),
     )
 
 
@@ -250,6 +280,11 @@ def _act_packed(
 def _some_acting(agent: Agent) -> ActingState:
     """An acting state of the types and shapes that every run's has."""
     return init_acting(agent, _SOME_HYPER, make_key(0))
+
+
+def flat(behavior: Behavior) -> np.ndarray:
+    """One run's row of what `Programs.unpack_behavior` takes, [P]."""
+    return np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(behavior)])
 
 
 def _pack_behavior(train: TrainState) -> chex.Array:

@@ -73,6 +73,15 @@ class EpisodeCounter:
         self._totals[:, walker] = 0.0
         self._recent[:, walker] = False
 
+    def state_of(self, walker: int) -> tuple[np.ndarray, np.ndarray]:
+        """Copies of a walker's totals and of its last alarms, of the unfinished episode."""
+        return self._totals[:, walker].copy(), self._recent[:, walker].copy()
+
+    def restore(self, walker: int, totals: np.ndarray, alarms: np.ndarray) -> None:
+        """Puts back what `state_of` gave."""
+        self._totals[:, walker] = totals
+        self._recent[:, walker] = alarms
+
     def intervened(self, control: np.ndarray) -> np.ndarray:
         """Whether u was 1 at any step of this episode, this step included, bool [N]."""
         return control | (self._totals[_COUNTS.index("intervened_steps")] > 0)

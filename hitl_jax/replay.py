@@ -156,6 +156,24 @@ def begin_run(replay: Replay, column: chex.Array) -> Replay:
     return dataclasses.replace(replay, start=replay.start.at[column].set(replay.cursor))
 
 
+def restore(replay: Replay, column: chex.Array, frames: chex.Array, start: chex.Array) -> Replay:
+    """Fills a column with what stood in it.
+
+    Args:
+        replay: the ring.
+        column: index of the run's column, [].
+        frames: all of the column, [T, W].
+        start: value of the cursor when the run began, [].
+    """
+    split = replay.seen.shape[2]
+    return dataclasses.replace(
+        replay,
+        seen=replay.seen.at[column].set(frames[:, :split]),
+        outcome=replay.outcome.at[column].set(frames[:, split:]),
+        start=replay.start.at[column].set(start),
+    )
+
+
 def num_starts(replay: Replay, column: chex.Array, n_step: int) -> chex.Array:
     """How many frames of a column can start an n-step transition, final ones included, []."""
     oldest = jnp.maximum(replay.start[column], replay.cursor - replay.seen.shape[1])

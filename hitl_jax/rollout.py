@@ -15,8 +15,8 @@ import math
 import time
 import zlib
 from collections import deque
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -27,6 +27,7 @@ from hitl_jax.config import Method, RunHyper, require, typed
 from hitl_jax.devices import acting_device, default_tile, learning_devices
 from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.episodes import EpisodeCounter, Row, Step
+from hitl_jax.saved import ActionLog, SavedRun, bring_back
 from hitl_jax.types import Behavior, Params
 
 LAG = 2
@@ -74,6 +75,10 @@ class LoopConfig:
         return round(updates)
 
 
+RunName = tuple[Method, int]
+"""Method and seed."""
+
+
 @dataclasses.dataclass(frozen=True)
 class RunSpec:
     """A run is its method and seed; `hyper` is what the method makes of the options.
@@ -91,6 +96,11 @@ class RunSpec:
     hyper: RunHyper
     episodes: int
     snapshots: tuple[int, ...] = ()
+
+    @property
+    def name(self) -> RunName:
+        """Method and seed."""
+        return self.method, self.seed
 
 
 class Snapshot(NamedTuple):
@@ -184,6 +194,7 @@ class Rollout:
         pool: WalkerPool,
         config: LoopConfig,
         tile: int | None = None,
+        saved: Mapping[RunName, SavedRun] | None = None,
     ):
         """Places everything on the devices.
 
@@ -193,6 +204,10 @@ class Rollout:
             pool: one walker a slot; the number of slots must be a multiple of the devices'.
             config: how much to play and learn.
             tile: runs learned together on one device; by default `default_tile`.
+            saved: runs to go on with; None also says that none will be saved.
+
+        Raises:
+            CannotReturn: if a saved run's walker does not come back as it was.
         """
         self._agent = agent
         self._pool = pool
@@ -216,7 +231,13 @@ class Rollout:
             for _ in range(LAG + 1)
         )
 
-        self._queue = deque(specs)
+        self._saves = saved is not None
+        self._saved = dict(saved or {})
+        self._recent = [np.zeros((slots, 0, self._layout.width), np.float32)]
+        self._log = ActionLog(slots, pool.action_size)
+        longest = max((len(run.frames) for run in self._saved.values()), default=0)
+        self._seats = [self._programs.begin_ring(seats, longest) for seats in self._seats]
+        self._queue = deque(sorted(specs, key=lambda spec: spec.name not in self._saved))
         self._runs: list[Run | None] = [None] * slots
         self._counter = EpisodeCounter(slots)
         self._active = np.zeros(slots, bool)
@@ -230,8 +251,7 @@ class Rollout:
                 lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, column, 1), tree
             )
         )
-        for slot in self._slot_order():
-            self._seat(slot)
+        self._seat_all(self._slot_order())
         self._behavior = self._to_acting(self._learned.popleft())
 
     def __iter__(self) -> Iterator[list[FinishedRun]]:
@@ -246,7 +266,7 @@ class Rollout:
             yield results
             for run in finished:
                 self._runs[run.slot] = None
-                self._seat(run.slot)
+            self._seat_all([run.slot for run in finished])
             self._behavior = self._to_acting(self._learned.popleft())  # Waits for the learner.
 
     def runs(self) -> list[Run]:
@@ -259,6 +279,39 @@ class Rollout:
         train = dataclasses.replace(self._seats[device].train, key=None)
         return FinishedRun(run, self._fetch(train, run), self._boundary_of(run))
 
+    def save(self) -> list[SavedRun]:
+        """The runs that are under way, between two chunks; waits for the learner.
+
+        With `saved` given at the start. The frames are those since the runs were saved before.
+        """
+        words = [np.asarray(self._programs.pack_train(seats.train)) for seats in self._seats]
+        learned = [[np.asarray(part) for part in waiting] for waiting in self._learned]
+        acting = np.asarray(self._acting.state)
+        recent = np.concatenate(self._recent, axis=1)
+        self._recent = [recent[:, :0]]
+        saved = []
+        for run in self.runs():
+            if run.done:
+                continue
+            device, column = divmod(run.slot, self._share)
+            totals, alarms = self._counter.state_of(run.slot)
+            saved.append(
+                SavedRun(
+                    facts=_facts(run),
+                    train=words[device][column],
+                    acting=acting[run.slot],
+                    behavior=np.stack([waiting[device][column] for waiting in learned]),
+                    snapshots=np.array([batch.flat(kept.behavior) for kept in run.snapshots]),
+                    boundaries=np.array([kept.boundary for kept in run.snapshots]),
+                    observation=self._observation[run.slot].copy(),
+                    actions=self._log.of(run.slot),
+                    totals=totals,
+                    alarms=alarms,
+                    frames=recent[run.slot, max(recent.shape[1] - run.ticks, 0) :],
+                )
+            )
+        return saved
+
     def wait(self) -> None:
         """Returns when the learner has nothing left to do."""
         jax.block_until_ready([seats.train.learner for seats in self._seats])
@@ -268,11 +321,23 @@ class Rollout:
         slots = np.arange(len(self._runs)).reshape(len(self._devices), self._share)
         return [int(slot) for slot in slots.T.ravel()]
 
-    def _seat(self, slot: int) -> None:
-        """Gives a slot to the next run in the queue, if there is one."""
-        if not self._queue:
-            return
-        spec = self._queue.popleft()
+    def _seat_all(self, slots: Sequence[int]) -> None:
+        """Gives slots to the next runs in the queue; saved ones go on where they were."""
+        back: dict[int, np.ndarray] = {}
+        for slot in slots:
+            if not self._queue:
+                break
+            spec = self._queue.popleft()
+            self._seat(slot, spec)
+            saved = self._saved.pop(spec.name, None)
+            if saved is not None:
+                self._take_up(slot, saved)
+                if len(saved.actions):
+                    back[slot] = saved.actions
+        bring_back(self._pool, self._seeds, back, self._observation)
+
+    def _seat(self, slot: int, spec: RunSpec) -> None:
+        """Gives a slot to a run at its beginning."""
         learning, acting, _ = batch.run_keys(spec.seed, method_index(spec.method))
         hyper = typed(spec.hyper)
         device, column = divmod(slot, self._share)
@@ -284,11 +349,49 @@ class Rollout:
             waiting[device] = self._programs.seat_behavior(waiting[device], column, fresh)
         self._runs[slot] = Run(spec=spec, slot=slot)
         self._counter.clear(slot)
+        self._log.begin(slot)
         self._active[slot] = True
         self._needs_reset[slot] = True
         self._seeds[slot] = episode_seed(spec.method, spec.seed, 0)
         self._feedback[slot] = spec.hyper.feedback
         self._has_arbiter[slot] = spec.hyper.has_arbiter > 0
+
+    def _take_up(self, slot: int, saved: SavedRun) -> None:
+        """Makes of a seated run what it was when it was saved, but for its walker."""
+        run = self._runs[slot]
+        assert run is not None
+        device, column = divmod(slot, self._share)
+        seats = self._seats[device]
+        cursor = int(seats.memory.cursor)
+        ring = np.zeros((self._config.frames, self._layout.width), np.float32)
+        frames = saved.frames[-len(ring) :]
+        ring[np.arange(cursor - len(frames), cursor) % len(ring)] = frames
+        start = np.int32(cursor - len(frames))
+        self._seats[device] = self._programs.restore(seats, column, saved.train, ring, start)
+        self._acting = self._programs.restore_acting(self._acting, slot, saved.acting)
+        for waiting, row in zip(self._learned, saved.behavior, strict=True):
+            waiting[device] = self._programs.seat_behavior(waiting[device], column, row[None])
+        facts = saved.facts
+        run.episodes = list(facts["episodes"])
+        run.ticks, run.env_steps, run.updates = (
+            facts[name] for name in ("ticks", "env_steps", "updates")
+        )
+        run.started -= facts["seconds"]
+        due = run.spec.snapshots[: len(saved.snapshots)]
+        kept = zip(due, self._behaviors(saved.snapshots), saved.boundaries, strict=True)
+        run.snapshots = [Snapshot(*one) for one in kept]
+        self._counter.restore(slot, saved.totals, saved.alarms)
+        self._log.begin(slot, saved.actions)
+        self._needs_reset[slot] = not len(saved.actions)
+        self._seeds[slot] = episode_seed(run.spec.method, run.spec.seed, len(run.episodes))
+        self._observation[slot] = saved.observation
+
+    def _behaviors(self, rows: np.ndarray) -> list[Behavior]:
+        """What acting needs, from packed rows [K, B]."""
+        if not len(rows):
+            return []
+        several = self._programs.unpack_behavior([rows])
+        return [jax.tree.map(lambda leaf: np.asarray(leaf[k]), several) for k in range(len(rows))]
 
     def _keep_snapshot(self, run: Run) -> None:
         """Keeps what acts, at the end of the chunk in which a snapshot's episode ended."""
@@ -317,12 +420,17 @@ class Rollout:
             decided = np.asarray(packed)
             command = np.where(live, Command.STEP, Command.IDLE).astype(np.uint8)
             command[self._active & self._needs_reset] = Command.RESET
-            answer = self._pool.step(command, decided[:, self._layout.action], self._seeds)
+            action = decided[:, self._layout.action]
+            if self._saves:
+                self._log.add(live, action)
+            answer = self._pool.step(command, action, self._seeds)
             frames[:, tick] = decided[:, : self._layout.width]
             self._record(live, decided, answer, frames[:, tick])
             self._observation = answer.observation
         for run in self.runs():
             run.ticks += self._config.chunk
+        if self._saves:
+            self._recent.append(frames)
         return frames
 
     def _record(
@@ -369,6 +477,7 @@ class Rollout:
         run.env_steps += row["length"]
         run.episodes.append({"episode": len(run.episodes) + 1, "env_steps": run.env_steps, **row})
         self._needs_reset[slot] = True
+        self._log.begin(slot)
         self._seeds[slot] = episode_seed(run.spec.method, run.spec.seed, len(run.episodes))
         if len(run.episodes) == run.spec.episodes:
             run.done = True
@@ -398,6 +507,19 @@ class Rollout:
     def _to_acting(self, packed: list[jax.Array]) -> Behavior:
         """What acting needs, of all runs, on its device."""
         return self._programs.unpack_behavior(jax.device_put(packed, self._acting_device))
+
+
+def _facts(run: Run) -> dict[str, Any]:
+    """What JSON can hold of a run."""
+    return {
+        "method": run.spec.method,
+        "seed": run.spec.seed,
+        "ticks": run.ticks,
+        "env_steps": run.env_steps,
+        "updates": run.updates,
+        "seconds": time.monotonic() - run.started,
+        "episodes": run.episodes,
+    }
 
 
 def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:

@@ -1,0 +1,114 @@
+"""A run under way as plain arrays: all that its numbers depend on from here on.
+
+A Box2D world cannot be saved, but an episode is its reset seed and its actions: the walker is
+brought back by playing them again.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hitl_jax.envs import Command, WalkerPool
+
+
+class SavedRun(NamedTuple):
+    """A run between two chunks.
+
+    Attributes:
+        facts: what JSON can hold: method, seed, counters, and a row for each ended episode.
+        train: training state, packed, uint32 [P].
+        acting: acting state, packed, uint32 [S].
+        behavior: what acting will need of the parameters in the coming chunks, one after the other,
+            packed, [LAG + 1, B].
+        snapshots: what acting needed at each snapshot, packed, [K, B].
+        boundaries: the boundary source's carry at each snapshot, [K] or [K, C].
+        observation: s_t, [O].
+        actions: of the episode under way, [T, A].
+        totals: of the episode under way, [...]; see `EpisodeCounter`.
+        alarms: of its last steps, bool [k].
+        frames: for the replay, newest last, [F, W]: those since the run was saved before, or all
+            that are still needed.
+    """
+
+    facts: dict[str, Any]
+    train: np.ndarray
+    acting: np.ndarray
+    behavior: np.ndarray
+    snapshots: np.ndarray
+    boundaries: np.ndarray
+    observation: np.ndarray
+    actions: np.ndarray
+    totals: np.ndarray
+    alarms: np.ndarray
+    frames: np.ndarray
+
+
+class CannotReturn(RuntimeError):
+    """A walker did not come back as it was; one line."""
+
+
+def bring_back(
+    pool: WalkerPool,
+    seeds: np.ndarray,
+    episodes: Mapping[int, np.ndarray],
+    expected: np.ndarray,
+) -> None:
+    """Plays unfinished episodes again, so that their walkers stand where they stood.
+
+    Args:
+        pool: seedable; its other walkers stay idle.
+        seeds: reset seeds, uint32 [N].
+        episodes: the actions so far, [T, A], by walker.
+        expected: what each walker saw last, [N, O].
+
+    Raises:
+        CannotReturn: if a walker sees something else now: another version of the simulation.
+    """
+    if not episodes:
+        return
+    walkers = sorted(episodes)
+    action = np.zeros((pool.num_walkers, pool.action_size), np.float32)
+    command = np.full(pool.num_walkers, Command.IDLE, np.uint8)
+    command[walkers] = Command.RESET
+    observation = pool.step(command, action, seeds).observation
+    for step in range(max(len(actions) for actions in episodes.values())):
+        command[:] = Command.IDLE
+        for walker, actions in episodes.items():
+            if step < len(actions):
+                command[walker] = Command.STEP
+                action[walker] = actions[step]
+        observation = pool.step(command, action, seeds).observation
+    changed = [w for w in walkers if not np.array_equal(observation[w], expected[w])]
+    if changed:
+        raise CannotReturn(
+            f"{len(changed)} of {len(walkers)} walkers did not come back as they were; "
+            "was the sweep begun with another version of Box2D or gymnasium?"
+        )
+
+
+class ActionLog:
+    """The actions of the episode that each walker is in."""
+
+    def __init__(self, num_walkers: int, action_size: int):
+        self._actions = np.zeros((num_walkers, 0, action_size), np.float32)
+        self._length = np.zeros(num_walkers, int)
+
+    def add(self, live: np.ndarray, action: np.ndarray) -> None:
+        """Notes the actions [N, A] of the walkers that take a step, bool [N]."""
+        if self._length.max(initial=0) >= self._actions.shape[1]:
+            self._actions = np.pad(self._actions, ((0, 0), (0, 256), (0, 0)))
+        walkers = np.flatnonzero(live)
+        self._actions[walkers, self._length[walkers]] = action[walkers]
+        self._length[walkers] += 1
+
+    def begin(self, walker: int, actions: Sequence[np.ndarray] | np.ndarray = ()) -> None:
+        """Forgets a walker's episode; `actions` are those of the one it is in."""
+        self._length[walker] = 0
+        for action in actions:
+            live = np.arange(len(self._length)) == walker
+            self.add(live, np.broadcast_to(action, (len(live), len(action))))
+
+    def of(self, walker: int) -> np.ndarray:
+        """A copy of a walker's actions, [T, A]."""
+        return self._actions[walker, : self._length[walker]].copy()

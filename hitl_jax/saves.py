@@ -1,0 +1,177 @@
+"""Runs under way on disk, so that a sweep that was stopped goes on where it was.
+
+::
+
+    FOLDER/frames-000012.npz    replay frames that the runs added since save 11
+    FOLDER/state-000012.npz     all else of each run, and which frames belong to it
+
+A save counts once its state is there, whole. The state before it is kept, in case the newest cannot
+be read; frames are kept as long as one of the two needs them, and never changed. Reading executes
+nothing (no pickle), and every array has a checksum (CRC-32, of the zip format).
+"""
+
+import io
+import json
+import pathlib
+import re
+import shutil
+from collections.abc import Sequence
+
+import numpy as np
+
+from hitl_jax.files import ResultsError, named_errors, remove_leftovers, write_bytes_atomic
+from hitl_jax.results import RunKey
+from hitl_jax.saved import SavedRun
+from hitl_jax.tables import EPISODE_COLUMNS, table_from_csv, table_to_csv, to_columns, to_table
+
+FORMAT = 1
+
+_ARRAYS = tuple(name for name in SavedRun._fields if name not in ("facts", "frames"))
+
+Lengths = dict[int, dict[str, int]]
+"""Frames of each run, by its name, in each numbered file."""
+
+
+class Saves:
+    """A folder of saves; one writer at a time.
+
+    Args:
+        path: the folder, there or not.
+        capacity: frames that a run's replay holds; what is older need not be kept.
+    """
+
+    def __init__(self, path: pathlib.Path, capacity: int):
+        self._path = path
+        self._capacity = capacity
+        self._number = 0
+        self._lengths: Lengths = {}
+
+    def load(self) -> tuple[dict[RunKey, SavedRun], list[str]]:
+        """The newest save that can be read.
+
+        Returns:
+            The runs, and a line for each newer save that is damaged.
+        """
+        notes = []
+        for number in sorted(self._numbers("state"), reverse=True):
+            try:
+                runs = self._load(number)
+            except ResultsError as error:
+                notes.append(str(error))
+                continue
+            self._number = number
+            return runs, notes
+        return {}, notes
+
+    def write(self, runs: Sequence[SavedRun]) -> None:
+        """Adds a save; the frames of each run are those since the save before.
+
+        Raises:
+            ResultsError: if the disk refuses; the save before still counts.
+        """
+        number = self._number + 1
+        names = [_name(run) for run in runs]
+        new = dict(zip(names, (run.frames for run in runs), strict=True))
+        self._lengths[number] = {name: len(frames) for name, frames in new.items()}
+        _write(self._file("frames", number), new)
+        arrays: dict[str, np.ndarray] = {}
+        facts = []
+        for index, run in enumerate(runs):
+            arrays |= {f"{index}/{name}": getattr(run, name) for name in _ARRAYS}
+            columns = to_columns(run.facts["episodes"], EPISODE_COLUMNS)
+            arrays[f"{index}/episodes"] = _to_bytes(table_to_csv(to_table(columns, EPISODE_COLUMNS)))
+            facts.append({name: value for name, value in run.facts.items() if name != "episodes"})
+        head = {"format": FORMAT, "runs": facts, "frames": self._lengths}
+        arrays["head"] = _to_bytes(json.dumps(head, allow_nan=False))
+        _write(self._file("state", number), arrays)
+        self._number = number
+        self._prune(names)
+
+    def remove(self) -> None:
+        """Removes the folder: nothing is under way any more."""
+        if self._path.exists():
+            with named_errors(self._path):
+                shutil.rmtree(self._path)
+
+    def _load(self, number: int) -> dict[RunKey, SavedRun]:
+        path = self._file("state", number)
+        arrays = _read(path)
+        with named_errors(path):
+            try:
+                return self._assemble(arrays)
+            except (KeyError, TypeError) as error:
+                raise ValueError(f"is not of this program: {error!r}") from error
+
+    def _assemble(self, arrays: dict[str, np.ndarray]) -> dict[RunKey, SavedRun]:
+        head = json.loads(_to_text(arrays["head"]))
+        if head["format"] != FORMAT:
+            raise ValueError(f"is not of format {FORMAT}")
+        self._lengths = {int(number): lengths for number, lengths in head["frames"].items()}
+        files = {number: _read(self._file("frames", number)) for number in sorted(self._lengths)}
+        runs = {}
+        for index, facts in enumerate(head["runs"]):
+            key = RunKey(facts["method"], facts["seed"])
+            parts = {name: arrays[f"{index}/{name}"] for name in _ARRAYS}
+            csv = _to_text(arrays[f"{index}/episodes"])
+            table = {k: v.tolist() for k, v in table_from_csv(csv, EPISODE_COLUMNS).items()}
+            rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
+            name = _key_name(key)
+            frames = np.concatenate([file[name] for file in files.values() if name in file])
+            if len(frames) < min(facts["ticks"], self._capacity):
+                raise ValueError(f"lacks frames of {key}")
+            frames = frames[-min(facts["ticks"], self._capacity) :]
+            runs[key] = SavedRun(facts | {"episodes": rows}, frames=frames, **parts)
+        return runs
+
+    def _prune(self, names: Sequence[str]) -> None:
+        """Removes what neither the newest state nor the one before it needs."""
+        last = self._number - 1
+        needed = {name: self._capacity for name in {*names, *self._lengths.get(last, {})}}
+        newest_first = sorted(self._lengths, reverse=True)
+        for number in newest_first:
+            if number > last:
+                continue  # The state before this one must find its frames in older files alone.
+            if all(needed.get(name, 0) <= 0 for name in self._lengths[number]):
+                del self._lengths[number]
+            for name, length in self._lengths.get(number, {}).items():
+                needed[name] = needed.get(name, 0) - length
+        for number in self._numbers("state") - {last, self._number}:
+            self._file("state", number).unlink(missing_ok=True)
+        for number in self._numbers("frames") - set(self._lengths):
+            self._file("frames", number).unlink(missing_ok=True)
+        remove_leftovers(self._path)
+
+    def _file(self, kind: str, number: int) -> pathlib.Path:
+        return self._path / f"{kind}-{number:06d}.npz"
+
+    def _numbers(self, kind: str) -> set[int]:
+        found = (re.fullmatch(rf"{kind}-(\d+)\.npz", path.name) for path in self._path.glob("*"))
+        return {int(match[1]) for match in found if match}
+
+
+def _name(run: SavedRun) -> str:
+    return _key_name(RunKey(run.facts["method"], run.facts["seed"]))
+
+
+def _key_name(key: RunKey) -> str:
+    return f"{key.method}-seed-{key.seed:04d}"
+
+
+def _write(path: pathlib.Path, arrays: dict[str, np.ndarray]) -> None:
+    archive = io.BytesIO()
+    np.savez(archive, **arrays)  # type: ignore[arg-type]
+    write_bytes_atomic(path, archive.getvalue())
+
+
+def _read(path: pathlib.Path) -> dict[str, np.ndarray]:
+    with named_errors(path), open(path, "rb") as file:
+        archive = np.load(file, allow_pickle=False)
+        return {name: archive[name] for name in archive.files}
+
+
+def _to_bytes(text: str) -> np.ndarray:
+    return np.frombuffer(text.encode(), np.uint8)
+
+
+def _to_text(array: np.ndarray) -> str:
+    return array.tobytes().decode()
