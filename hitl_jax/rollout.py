@@ -83,7 +83,7 @@ class RunSpec:
         seed: which seed.
         hyper: hyperparameters, host scalars.
         episodes: training episodes after which the run is done.
-        snapshots: rising numbers of training episodes after which what acts is kept.
+        snapshots: rising numbers of training episodes at which a `Snapshot` is kept.
     """
 
     method: Method
@@ -94,12 +94,13 @@ class RunSpec:
 
 
 class Snapshot(NamedTuple):
-    """What acts, at one point of training.
+    """What would be tested if a run ended at one point of its training.
 
     Attributes:
-        episode: training episodes behind it.
+        episode: training episodes that the run would have had; it is taken at the end of the chunk
+            in which the last of them ends.
         behavior: parameters, as NumPy arrays.
-        boundary: the boundary source's carry, [] or [K].
+        boundary: the boundary source's carry, [] or [C].
     """
 
     episode: int
@@ -239,7 +240,7 @@ class Rollout:
         while self._active.any():
             frames = self._play()
             for run in self.runs():
-                self._keep_snapshot(run)
+                self._keep_snapshots(run)
             finished = [run for run in self._runs if run is not None and run.done]
             results = [self.collect(run) for run in finished]
             self._learn(frames)
@@ -290,13 +291,15 @@ class Rollout:
         self._feedback[slot] = spec.hyper.feedback
         self._has_arbiter[slot] = spec.hyper.has_arbiter > 0
 
-    def _keep_snapshot(self, run: Run) -> None:
-        """Keeps what acts, at the end of the chunk in which a snapshot's episode ended."""
-        due = run.spec.snapshots[len(run.snapshots) : len(run.snapshots) + 1]
-        if due and len(run.episodes) >= due[0]:
+    def _keep_snapshots(self, run: Run) -> None:
+        """Keeps those whose episodes have ended in this chunk; there may be several."""
+        left = run.spec.snapshots[len(run.snapshots) :]
+        due = [episode for episode in left if episode <= len(run.episodes)]
+        if due:
             device, _ = divmod(run.slot, self._share)
-            acts = self._fetch(behavior(self._seats[device].train), run)
-            run.snapshots.append(Snapshot(due[0], acts, self._boundary_of(run)))
+            learned = self._fetch(behavior(self._seats[device].train), run)
+            boundary = self._boundary_of(run)
+            run.snapshots += [Snapshot(episode, learned, boundary) for episode in due]
 
     def _fetch(self, tree: Params, run: Run) -> Params:
         """A run's part of its device's tree, as NumPy arrays."""
