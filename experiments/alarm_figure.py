@@ -1,9 +1,7 @@
 """Figure 8: what alarms would have told at each boundary, from RESULTS/alarms.csv."""
 
-import csv
-import io
 import pathlib
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,24 +10,32 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from hitl_jax import stats
-from hitl_jax.figure_parts import line_style, paper_style, save
-from hitl_jax.figures import boundary_label
+from hitl_jax.episodes import ALARM_WINDOW
+from hitl_jax.figure_parts import GREY, PAGE, line_style, method_label, panels, paper_style, save
+from hitl_jax.figures import boundary_label, tolerance_in
 from hitl_jax.files import named_errors
-from hitl_jax.results import ResultsFolder
+from hitl_jax.results import ResultsFolder, RunKey
 from hitl_jax.summary import STEPS_PER_SECOND
-from hitl_jax.tables import METHODS
+from hitl_jax.tables import METHODS, cells_from_csv
 
 DATA = "alarms.csv"
 """In a results folder."""
 
 _COUNTS = ("steps", "alarms", "timely_alarms", "falls", "warned_falls", "lead_steps")
+COLUMNS = ("method", "seed", "boundary", *_COUNTS)
+"""Of the file: counts of a run's test at a boundary."""
+
 _RESAMPLES = 1000
-_SIZE = (7.2, 5.0)  # inches
 _FEW = 20
 """Alarmed steps, or falls, below which a share says nothing."""
 
-Counts = dict[str, np.ndarray]
-"""Each of `_COUNTS` as [S, M]: seeds, boundaries."""
+
+class _Counts(NamedTuple):
+    """One method: its seeds S, boundaries [M], and each of `_COUNTS` as [S, M]."""
+
+    seeds: list[int]
+    boundaries: np.ndarray
+    counts: dict[str, np.ndarray]
 
 
 def draw(folder: ResultsFolder) -> list[pathlib.Path]:
@@ -40,51 +46,57 @@ def draw(folder: ResultsFolder) -> list[pathlib.Path]:
     """
     path = folder.path / DATA
     with named_errors(path):
-        boundaries, methods = _load(path.read_text())
+        methods = _load(path.read_text())
     with paper_style():
-        return save(
-            _figure(boundaries, methods, folder), folder.path / "figures" / "figure8_alarms"
-        )
+        return save(_figure(methods, folder), folder.path / "figures" / "figure8_alarms")
 
 
-def _load(text: str) -> tuple[np.ndarray, dict[str, Counts]]:
-    rows = list(csv.DictReader(io.StringIO(text)))
-    boundaries = np.array(sorted({float(row["boundary"]) for row in rows}))
+def _load(text: str) -> dict[str, _Counts]:
+    cells = cells_from_csv(text, COLUMNS)
     methods = {}
     for method in METHODS:
-        own = [row for row in rows if row["method"] == method]
-        if own:
-            shape = (-1, len(boundaries))
-            methods[method] = {
-                name: np.array([float(row[name]) for row in own]).reshape(shape) for name in _COUNTS
-            }
-    return boundaries, methods
+        own = [row for row, name in enumerate(cells["method"]) if name == method]
+        if not own:
+            continue
+        seeds = sorted({int(cells["seed"][row]) for row in own})
+        numbers = {
+            name: np.array([float(cells[name][row]) for row in own]).reshape(len(seeds), -1)
+            for name in ("boundary", *_COUNTS)
+        }
+        methods[method] = _Counts(seeds, numbers.pop("boundary")[0], numbers)
+    return methods
 
 
-def _figure(boundaries: np.ndarray, methods: dict[str, Counts], folder: ResultsFolder) -> Figure:
-    figure = Figure(figsize=_SIZE, layout="constrained")
-    panels = list(figure.subplots(2, 2, sharex=True).flat)
+def _figure(methods: dict[str, _Counts], folder: ResultsFolder) -> Figure:
+    figure, axes_of = panels(2, 2, (PAGE, 5.2), sharex=True)
+    window = f"{ALARM_WINDOW / STEPS_PER_SECOND:g} s"
     shares = (
         ("alarms", "steps", "steps with an alarm [share]"),
-        ("timely_alarms", "alarms", "alarms with a fall\nwithin 1 s [share]"),
-        ("warned_falls", "falls", "falls with an alarm\nin the last 1 s [share]"),
+        ("timely_alarms", "alarms", f"alarms with a fall\nwithin {window} [share]"),
+        ("warned_falls", "falls", f"falls with an alarm\nin the last {window} [share]"),
         ("lead_steps", "warned_falls", "from first alarm to fall [s]"),
     )
     rng = np.random.default_rng(stats.SEED)
-    for axes, (part, whole, label) in zip(panels, shares, strict=True):
+    for axes, (part, whole, label) in zip(axes_of, shares, strict=True):
         scale = 1.0 / STEPS_PER_SECOND if part == "lead_steps" else 1.0
-        for method, counts in methods.items():
+        for method, (_, boundaries, counts) in methods.items():
             _draw_share(axes, boundaries, counts[part] * scale, counts[whole], method, rng)
         axes.set(ylabel=label)
         axes.set_ylim(bottom=0.0)
-    panels[0].set(yscale="log", ylim=(1e-5, 1.5))
-    for axes in panels[2:]:
+    axes_of[0].set(yscale="log", ylim=(1e-5, 1.5))
+    for axes in axes_of[2:]:
         axes.set(xlabel=boundary_label(folder))
     marks = [
-        Line2D([], [], label=method.upper(), linewidth=1.6, **line_style(method))
-        for method in methods
+        Line2D(
+            [],
+            [],
+            label=method_label(method, len(of.seeds), "no band"),
+            linewidth=1.6,
+            **line_style(method),
+        )
+        for method, of in methods.items()
     ]
-    marks += _mark_boundaries(panels, folder)
+    marks += _mark_boundaries(axes_of, methods, folder)
     title = "all seeds together; band: bootstrap 95 % interval over seeds"
     figure.legend(handles=marks, title=title, loc="outside lower center", ncols=3)
     return figure
@@ -112,21 +124,22 @@ def _draw_share(
     axes.fill_between(x, low, high, color=style["color"], alpha=0.18, linewidth=0)
 
 
-def _mark_boundaries(panels: list[Axes], folder: ResultsFolder) -> list[Any]:
+def _mark_boundaries(
+    axes_of: list[Axes], methods: dict[str, _Counts], folder: ResultsFolder
+) -> list[Any]:
     """The human's own threshold, and where HITL-AC's boundaries ended; what the legend says."""
-    tolerance = folder.load_config()["hyper"]["human"]["tolerance"]
-    ends = [
-        run.episodes["final_boundary"][-1]
-        for run in folder.load_all()
-        if run.key.method == "hitl-ac"
-    ]
-    threshold: dict[str, Any] = {"color": "#444444", "linewidth": 0.9, "linestyle": "--"}
-    band: dict[str, Any] = {"color": line_style("hitl-ac")["color"], "alpha": 0.3}
-    for axes in panels:
-        axes.axvline(tolerance, **threshold)
-        if ends:
+    marks: list[Any] = []
+    tolerance = tolerance_in(folder)
+    if tolerance is not None:
+        threshold: dict[str, Any] = {"color": GREY, "linewidth": 0.9, "linestyle": "--"}
+        marks.append(Line2D([], [], label="the human's tolerance", **threshold))
+        for axes in axes_of:
+            axes.axvline(tolerance, **threshold)
+    if "hitl-ac" in methods:
+        keys = [RunKey("hitl-ac", seed) for seed in methods["hitl-ac"].seeds]
+        ends = [folder.load_run(key).episodes["final_boundary"][-1] for key in keys]
+        band: dict[str, Any] = {"color": line_style("hitl-ac")["color"], "alpha": 0.3}
+        marks.append(Patch(label="learned boundaries (HITL-AC)", linewidth=0, **band))
+        for axes in axes_of:
             axes.axvspan(min(ends), max(ends), linewidth=0, **band)
-    marks: list[Any] = [Line2D([], [], label="the human's tolerance", **threshold)]
-    if ends:
-        marks.append(Patch(label="learned boundaries (HITL-AC, all seeds)", linewidth=0, **band))
     return marks

@@ -1,8 +1,9 @@
 """How well alarms foretell falls: `python -m experiments.alarms RESULTS`.
 
-Plays the trained walkers of a results folder once more, alone, on the terrains of their tests, and
-counts for a range of boundaries what alarms at |c_t| >= τ would have told: how often they come, how
-many are followed by a fall, how many falls they announce, and how long before.
+Plays the trained walkers of a results folder once more, alone, on the terrains of their tests (of
+EnvPool's, which cannot be had again, on others), and counts for a range of boundaries what alarms
+at |c_t| >= τ would have told: how often they come, how many are followed by a fall, how many falls
+they announce, and how long before.
 """
 
 import contextlib
@@ -28,9 +29,10 @@ from hitl_jax.envs import make_pool
 from hitl_jax.evaluation import Evaluator, evaluate_policies
 from hitl_jax.files import ResultsError, write_text_atomic
 from hitl_jax.results import ResultsFolder, RunKey, sort_keys
+from hitl_jax.rollout import RunSpec, Snapshot
 
-BOUNDARIES = np.linspace(0.0, 1.5, 61)
-"""τ [rad], or the indicator's unit."""
+NUM_BOUNDARIES = 61
+"""From 0 to the greatest boundary that the runs could have."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,11 +73,13 @@ def main(options: AlarmOptions) -> int:
         with contextlib.closing(make_pool("lean", options.episodes)) as pool:
             evaluator = Evaluator(agent, pool)
             for number, key in enumerate(keys, start=1):
-                counts = _count(agent, evaluator, folder, key)
-                rows += _rows(key, counts)
+                spec, end = load_trained(folder, key)
+                boundaries = np.linspace(0.0, spec.hyper.boundary_high, NUM_BOUNDARIES)
+                counts = _count(agent, evaluator, spec, end, boundaries)
+                rows += _rows(key, boundaries, counts)
                 print(f"{number}/{len(keys)} {key}: {counts.falls} falls", flush=True)
         text = io.StringIO()
-        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+        writer = csv.DictWriter(text, alarm_figure.COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
         write_text_atomic(options.results / alarm_figure.DATA, text.getvalue())
@@ -86,8 +90,9 @@ def main(options: AlarmOptions) -> int:
     return 0
 
 
-def _count(agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunKey) -> AlarmCounts:
-    spec, end = load_trained(folder, key)
+def _count(
+    agent: Agent, evaluator: Evaluator, spec: RunSpec, end: Snapshot, boundaries: np.ndarray
+) -> AlarmCounts:
     indicator = jax.jit(jax.vmap(agent.indicator))
     sizes: list[np.ndarray] = []
 
@@ -99,13 +104,13 @@ def _count(agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunKe
     played = np.array(sizes)
     return total(
         [
-            count_alarms(played[: row["length"], walker], bool(row["fall"]), BOUNDARIES)
+            count_alarms(played[: row["length"], walker], bool(row["fall"]), boundaries)
             for walker, row in enumerate(rows)
         ]
     )
 
 
-def _rows(key: RunKey, counts: AlarmCounts) -> list[dict[str, Any]]:
+def _rows(key: RunKey, boundaries: np.ndarray, counts: AlarmCounts) -> list[dict[str, Any]]:
     return [
         {
             "method": key.method,
@@ -118,7 +123,7 @@ def _rows(key: RunKey, counts: AlarmCounts) -> list[dict[str, Any]]:
             "warned_falls": int(counts.warned_falls[place]),
             "lead_steps": int(counts.lead_steps[place]),
         }
-        for place, boundary in enumerate(BOUNDARIES)
+        for place, boundary in enumerate(boundaries)
     ]
 
 

@@ -6,9 +6,7 @@ where they have been.
 """
 
 import contextlib
-import csv
 import dataclasses
-import io
 import pathlib
 import sys
 
@@ -20,19 +18,21 @@ from matplotlib.figure import Figure
 from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
 from experiments.trained import agent_of, load_trained
+from hitl_jax.acting import learned_boundary
 from hitl_jax.agent import Agent
-from hitl_jax.boundary import get_source
 from hitl_jax.config import Method, require
 from hitl_jax.envs import make_pool
 from hitl_jax.evaluation import Evaluator, evaluate_policies
 from hitl_jax.figure_parts import COLUMN, GREY, paper_style, save
-from hitl_jax.figures import boundary_label
+from hitl_jax.figures import boundary_label, tolerance_in
 from hitl_jax.files import ResultsError, named_errors, write_text_atomic
 from hitl_jax.results import ResultsFolder, RunKey
+from hitl_jax.tables import cells_from_csv
 
 DATA = "boundary_map.csv"
 """In a results folder."""
 
+_COLUMNS = ("angle", "velocity", "steps", "boundary")
 _SOURCES = ("network", "residual")
 _VELOCITY_UNIT = 25.0  # rad/s; the observation is 2 ω / 50
 _ANGLES = np.linspace(-1.0, 1.0, 41)  # edges of cells [rad]
@@ -107,34 +107,39 @@ def draw(folder: ResultsFolder) -> list[pathlib.Path]:
         ResultsError: if the data are damaged.
     """
     path = folder.path / DATA
-    mean = np.full((_ANGLES.size - 1, _VELOCITIES.size - 1), np.nan)
     with named_errors(path):
-        for row in csv.DictReader(io.StringIO(path.read_text())):
-            angle = np.searchsorted(_ANGLES, float(row["angle"])) - 1
-            velocity = np.searchsorted(_VELOCITIES, float(row["velocity"])) - 1
-            mean[angle, velocity] = float(row["boundary"])
-    tolerance = folder.load_config()["hyper"]["human"]["tolerance"]
+        cells = cells_from_csv(path.read_text(), _COLUMNS)
+        angle, velocity, _, boundary = (np.array(column, float) for column in cells.values())
+        edges = (_ANGLES, _VELOCITIES)
+        sums, counts = (
+            np.histogram2d(angle, velocity, bins=edges, weights=weights)[0]
+            for weights in (boundary, None)
+        )
+    mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
     with paper_style():
         figure = Figure(figsize=(COLUMN, 3.6), layout="constrained")
         axes = figure.subplots()
         mesh = axes.pcolormesh(_ANGLES, _VELOCITIES, mean.T, cmap="viridis", rasterized=True)
         figure.colorbar(mesh, label=boundary_label(folder))
-        for side in (-tolerance, tolerance):
-            axes.axvline(side, color=GREY, linewidth=0.9, linestyle="--")
+        title = "white: not visited"
+        tolerance = tolerance_in(folder)
+        if tolerance is not None:
+            title = f"dashed: the human's tolerance; {title}"
+            for side in (-tolerance, tolerance):
+                axes.axvline(side, color=GREY, linewidth=0.9, linestyle="--")
         axes.set(xlabel="hull angle [rad]", ylabel="hull angular velocity [rad/s]")
-        axes.set_title("dashed: the human's tolerance; white: not visited", fontsize=8.0)
+        axes.set_title(title, fontsize=8.0)
         return save(figure, folder.path / "figures" / "figure9_map")
 
 
 def _visits(agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunKey) -> np.ndarray:
     """Hull angle, angular velocity and boundary of every step of the tests, [T, 3]."""
     spec, end = load_trained(folder, key)
-    source = get_source(agent.config.boundary_source)
 
     @jax.jit
     def boundary(observation: jax.Array) -> jax.Array:
         network = agent.network_boundary(spec.hyper, end.behavior.boundary_actor, observation)
-        return source.boundary(end.boundary, network)
+        return learned_boundary(agent, spec.hyper, end.boundary, network)
 
     visited: list[np.ndarray] = []
 
@@ -147,7 +152,7 @@ def _visits(agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunK
 
 
 def _to_csv(steps: np.ndarray, sums: np.ndarray) -> str:
-    lines = ["angle,velocity,steps,boundary\n"]
+    lines = [",".join(_COLUMNS) + "\n"]
     for angle, velocity in np.argwhere(steps >= _FEW):
         middle = (_ANGLES[angle : angle + 2].mean(), _VELOCITIES[velocity : velocity + 2].mean())
         count = steps[angle, velocity]

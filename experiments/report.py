@@ -151,15 +151,16 @@ def _comparison(comparison: _Comparison, root: pathlib.Path) -> str:
 def _tuning(folder: pathlib.Path) -> str:
     title = "## Tuning\n"
     options = TuningOptions()
-    if not any(folder.glob("*.json")):
+    names = " ".join(sorted(path.stem for path in folder.glob("*.json")))
+    if not names:
         return f"{title}\nNone kept.\n"
     seeds = f"{options.first_seed} to {options.first_seed + options.seeds - 1}"
     return (
-        f"{title}\nEvery configuration for all three methods: seeds {seeds}, which no comparison "
-        f"above has, {options.ticks:,} ticks (steps and resets) a run, {options.test_episodes} "
-        "autonomous test episodes. [README.md](README.md#tuning) has the configurations that were "
-        f"tried before.\n\n{tuning_table(folder, options)}"
-        "\n    python -m experiments.tuning --out results/tuning\n"
+        f"{title}\nA configuration is run for all three methods: seeds {seeds}, which no "
+        f"comparison above has, {options.ticks:,} ticks (steps and resets) a run, "
+        f"{options.test_episodes} autonomous test episodes. [README.md](README.md#tuning) has the "
+        f"configurations that were tried before.\n\n{tuning_table(folder, options)}"
+        f"\n    python -m experiments.tuning --only {names} --out results/tuning\n"
     )
 
 

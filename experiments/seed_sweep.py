@@ -25,11 +25,11 @@ from hitl_jax import checkpoint, figures, stats
 from hitl_jax.agent import Agent
 from hitl_jax.config import Method, hyper_for
 from hitl_jax.devices import learning_devices
-from hitl_jax.envs import make_pool
+from hitl_jax.envs import make_pool, num_cores
 from hitl_jax.episodes import ALARM_WINDOW
 from hitl_jax.evaluation import milestones
 from hitl_jax.files import ResultsError
-from hitl_jax.provenance import git_commit, machine, versions
+from hitl_jax.provenance import git_commit, processor, versions
 from hitl_jax.results import ResultsFolder, RunKey
 from hitl_jax.rollout import Rollout, RunSpec, num_slots
 from hitl_jax.summary import write_summary
@@ -123,7 +123,7 @@ class _Sweep:
         self._provenance = {
             "versions": versions(),
             "commit": git_commit(),
-            "machine": machine(),
+            "machine": f"{processor()}, {num_cores()} cores",
         }
         self._progress = Progress(
             options.methods, num_runs, options.scale().episodes, num_runs - len(specs)

@@ -175,6 +175,9 @@ def evaluate_run(evaluator: Evaluator, finished: FinishedRun, modes: Sequence[Mo
 def evaluate_snapshots(evaluator: Evaluator, run: Run) -> list[Row]:
     """Tests a run, alone, as it was at its snapshots; they share the evaluator's walkers.
 
+    Of N walkers each of K snapshots gets ⌊N / K⌋, on the first terrains of the test at the end;
+    with fewer walkers than snapshots each gets one.
+
     Args:
         evaluator: plays an episode on each of its walkers.
         run: with the snapshots.
@@ -182,12 +185,13 @@ def evaluate_snapshots(evaluator: Evaluator, run: Run) -> list[Row]:
     Returns:
         A row for each snapshot and episode, with the number of training episodes as `trained`.
     """
-    snapshots = run.snapshots[: evaluator.num_episodes]
-    if not snapshots:
-        return []
-    rows = evaluate_policies(evaluator, "autonomous", run.spec, snapshots)
-    each = len(rows) // len(snapshots)
-    return [{"trained": snapshots[n // each].episode, **row} for n, row in enumerate(rows)]
+    rows = []
+    for first in range(0, len(run.snapshots), evaluator.num_episodes):
+        group = run.snapshots[first : first + evaluator.num_episodes]
+        played = evaluate_policies(evaluator, "autonomous", run.spec, group)
+        each = len(played) // len(group)
+        rows += [{"trained": group[n // each].episode, **row} for n, row in enumerate(played)]
+    return rows
 
 
 def evaluate_policies(

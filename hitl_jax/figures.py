@@ -117,6 +117,7 @@ def _load(folder: ResultsFolder) -> _Data:
         often = [skill_over_training(run) for run in tested if len(run.progress["trained"])]
         if training or tested:
             points = often[0][0] if often else np.empty(0)
+            # All runs of a folder have the same points.
             progress = [returns for _, returns in often]
             tests = [run.tests for run in tested]
             methods.append(_Method(name, training, len(begun), tests, points, progress))
@@ -127,12 +128,12 @@ def _load(folder: ResultsFolder) -> _Data:
 
 def _moves(config: dict[str, Any]) -> _Moves | None:
     source = config.get("agent", {}).get("boundary_source")
-    if source not in ("rule", "residual"):
-        return None
-    numbers = config["hyper"]
+    numbers = config.get("hyper", {})
     initial, minus, plus = (
-        numbers[name] for name in ("initial_boundary", "delta_minus", "delta_plus")
+        numbers.get(name) for name in ("initial_boundary", "delta_minus", "delta_plus")
     )
+    if source not in ("rule", "residual") or None in (initial, minus, plus):
+        return None
     return _Moves(initial, minus, plus, source == "residual")
 
 
@@ -142,6 +143,14 @@ def boundary_label(folder: ResultsFolder) -> str:
     indicators = [value for key, value in config.items() if key.split(".")[-1] == "indicator"]
     in_radians = set(indicators) <= {"hull_angle"}
     return "boundary [rad]" if in_radians else f"boundary [unit of {indicators[0]}]"
+
+
+def tolerance_in(folder: ResultsFolder) -> float | None:
+    """The human's own threshold, where it is one for the folder's indicator, the hull angle."""
+    config = flatten(folder.load_config())
+    if (config.get("agent.indicator"), config.get("agent.danger")) != ("hull_angle", "threshold"):
+        return None
+    return config.get("hyper.human.tolerance")
 
 
 def _draw_training(data: _Data, rng: np.random.Generator) -> Figure | None:
@@ -265,7 +274,11 @@ def _draw_moves(data: _Data, rng: np.random.Generator) -> Figure | None:
     }
     if rule.has_actor:
         rest = [y - d - u for y, d, u in zip(moved, down, up, strict=True)]
-        parts["the rest: the actor, and the bounds"] = ("#000000", (5.0, 1.6, 1.2, 1.6), rest)
+        parts["the rest: the actor with its noise, and the bounds"] = (
+            "#000000",
+            (5.0, 1.6, 1.2, 1.6),
+            rest,
+        )
     figure, [axes] = panels(1, 1, (COLUMN, 3.9))
     whole = draw_curve(axes, m.name, over_episodes(moved, 1, rng), m.unfinished)
     whole.set_label("boundary, change since τ_0: " + str(whole.get_label()))

@@ -10,7 +10,7 @@ from hitl_jax import losses
 
 
 class Learner(NamedTuple):
-    """A deterministic actor-critic.
+    """A deterministic actor-critic; its actor follows the first critic, as TD3's.
 
     Attributes:
         num_critics: E.
@@ -30,6 +30,9 @@ class Learner(NamedTuple):
     num_quantiles: int | None = None
 
 
+# td3-tqc has TD3's actor, noise and delay, and the critics of "truncated quantile critics"
+# (https://arxiv.org/abs/2005.04269). There each of five critics has 25 quantiles of which two are
+# dropped; with two of ten each, and one dropped for each, a loss costs a tenth of that.
 LEARNERS: dict[str, Learner] = {
     "ddpg": Learner(1, 1, False, losses.target_q, losses.critic_loss),
     "td3": Learner(2, 2, True, losses.target_q, losses.critic_loss),

@@ -92,15 +92,15 @@ def target_quantiles(
 ) -> Atoms:
     """TD targets of a return distribution, the largest of the pooled quantiles left out.
 
-    y_j = R + discount · z_j over the pooled quantiles z of all critics but the `num_dropped`
-    largest (and what equals one of those), of equal weight, without a gradient
+    y_j = R + discount · z_j over the pooled quantiles z of all critics but those of the
+    `num_dropped` largest values, of equal weight, without a gradient
     (https://arxiv.org/abs/2005.04269, eq. 7 to 9).
 
     Args:
         reward: n-step reward, [B].
         discount: γ^m · (1 − terminated), [B].
         next_quantiles: target critics at the next observation, [E, B, Q].
-        num_dropped: static, less than E · Q.
+        num_dropped: static, of all critics together; the paper counts those of one critic.
 
     Returns:
         The targets and their weights.

@@ -1,7 +1,6 @@
 """Where numbers come from: versions, the commit of this code, the machine."""
 
 import importlib.metadata
-import os
 import pathlib
 import platform
 import subprocess
@@ -51,15 +50,14 @@ def git_commit() -> str | None:
         return None
 
 
-def machine() -> str:
-    """The processor's name and its number of cores."""
+def processor() -> str:
+    """The processor's name."""
     try:
         with open("/proc/cpuinfo") as lines:
             names = [line.partition(":")[2].strip() for line in lines if "model name" in line]
     except OSError:
         names = []
-    name = names[0] if names else platform.processor() or platform.machine()
-    return f"{name}, {os.cpu_count()} cores"
+    return names[0] if names else platform.processor() or platform.machine()
 
 
 def short_commit(commit: str | None) -> str:

@@ -12,6 +12,7 @@ at once, and takes no more time. Nothing a run computes depends on its slot or o
 
 import dataclasses
 import math
+import operator
 import time
 import zlib
 from collections import deque
@@ -27,7 +28,7 @@ from hitl_jax.config import Method, RunHyper, require, typed
 from hitl_jax.devices import acting_device, default_tile, learning_devices
 from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.episodes import EpisodeCounter, Row, Step
-from hitl_jax.saved import ActionLog, SavedRun, bring_back
+from hitl_jax.saved import ActionLog, CannotReturn, SavedRun, bring_back
 from hitl_jax.types import Behavior, Params
 
 LAG = 2
@@ -88,7 +89,7 @@ class RunSpec:
         seed: which seed.
         hyper: hyperparameters, host scalars.
         episodes: training episodes after which the run is done.
-        snapshots: rising numbers of training episodes after which what acts is kept.
+        snapshots: rising numbers of training episodes at which a `Snapshot` is kept.
     """
 
     method: Method
@@ -104,12 +105,13 @@ class RunSpec:
 
 
 class Snapshot(NamedTuple):
-    """What acts, at one point of training.
+    """What would be tested if a run ended at one point of its training.
 
     Attributes:
-        episode: training episodes behind it.
+        episode: training episodes that the run would have had; it is taken at the end of the chunk
+            in which the last of them ends.
         behavior: parameters, as NumPy arrays.
-        boundary: the boundary source's carry, [] or [K].
+        boundary: the boundary source's carry, [] or [C].
     """
 
     episode: int
@@ -259,7 +261,7 @@ class Rollout:
         while self._active.any():
             frames = self._play()
             for run in self.runs():
-                self._keep_snapshot(run)
+                self._keep_snapshots(run)
             finished = [run for run in self._runs if run is not None and run.done]
             results = [self.collect(run) for run in finished]
             self._learn(frames)
@@ -297,7 +299,7 @@ class Rollout:
             totals, alarms = self._counter.state_of(run.slot)
             saved.append(
                 SavedRun(
-                    facts=_facts(run),
+                    facts=_facts(run, begun=not self._needs_reset[run.slot]),
                     train=words[device][column],
                     acting=acting[run.slot],
                     behavior=np.stack([waiting[device][column] for waiting in learned]),
@@ -332,7 +334,7 @@ class Rollout:
             saved = self._saved.pop(spec.name, None)
             if saved is not None:
                 self._take_up(slot, saved)
-                if len(saved.actions):
+                if not self._needs_reset[slot]:
                     back[slot] = saved.actions
         bring_back(self._pool, self._seeds, back, self._observation)
 
@@ -362,6 +364,7 @@ class Rollout:
         assert run is not None
         device, column = divmod(slot, self._share)
         seats = self._seats[device]
+        self._check_fit(run.spec, saved)
         cursor = int(seats.memory.cursor)
         ring = np.zeros((self._config.frames, self._layout.width), np.float32)
         frames = saved.frames[-len(ring) :]
@@ -382,24 +385,41 @@ class Rollout:
         run.snapshots = [Snapshot(*one) for one in kept]
         self._counter.restore(slot, saved.totals, saved.alarms)
         self._log.begin(slot, saved.actions)
-        self._needs_reset[slot] = not len(saved.actions)
+        self._needs_reset[slot] = not facts["begun"]
         self._seeds[slot] = episode_seed(run.spec.method, run.spec.seed, len(run.episodes))
         self._observation[slot] = saved.observation
+
+    def _check_fit(self, spec: RunSpec, saved: SavedRun) -> None:
+        """Raises CannotReturn unless the arrays are as this agent's are."""
+        learned = jax.eval_shape(self._programs.pack_behavior, self._seats[0].train).shape[1]
+        words = jax.eval_shape(self._programs.pack_train, self._seats[0].train).shape[1]
+        layout = self._layout
+        fits = (
+            saved.train.shape == (words,)
+            and saved.acting.shape == self._acting.state.shape[1:]
+            and saved.behavior.shape == (LAG + 1, learned)
+            and saved.observation.shape == (layout.observation_size,)
+            and saved.frames.shape[1:] == (layout.width,)
+        )
+        if not fits:
+            raise CannotReturn(f"{spec.method} seed {spec.seed} was saved by another program")
 
     def _behaviors(self, rows: np.ndarray) -> list[Behavior]:
         """What acting needs, from packed rows [K, B]."""
         if not len(rows):
             return []
-        several = self._programs.unpack_behavior([rows])
-        return [jax.tree.map(lambda leaf: np.asarray(leaf[k]), several) for k in range(len(rows))]
+        several = jax.device_get(self._programs.unpack_behavior([rows]))
+        return [jax.tree.map(operator.itemgetter(k), several) for k in range(len(rows))]
 
-    def _keep_snapshot(self, run: Run) -> None:
-        """Keeps what acts, at the end of the chunk in which a snapshot's episode ended."""
-        due = run.spec.snapshots[len(run.snapshots) : len(run.snapshots) + 1]
-        if due and len(run.episodes) >= due[0]:
+    def _keep_snapshots(self, run: Run) -> None:
+        """Keeps those whose episodes have ended in this chunk; there may be several."""
+        left = run.spec.snapshots[len(run.snapshots) :]
+        due = [episode for episode in left if episode <= len(run.episodes)]
+        if due:
             device, _ = divmod(run.slot, self._share)
-            acts = self._fetch(behavior(self._seats[device].train), run)
-            run.snapshots.append(Snapshot(due[0], acts, self._boundary_of(run)))
+            learned = self._fetch(behavior(self._seats[device].train), run)
+            boundary = self._boundary_of(run)
+            run.snapshots += [Snapshot(episode, learned, boundary) for episode in due]
 
     def _fetch(self, tree: Params, run: Run) -> Params:
         """A run's part of its device's tree, as NumPy arrays."""
@@ -509,8 +529,8 @@ class Rollout:
         return self._programs.unpack_behavior(jax.device_put(packed, self._acting_device))
 
 
-def _facts(run: Run) -> dict[str, Any]:
-    """What JSON can hold of a run."""
+def _facts(run: Run, begun: bool) -> dict[str, Any]:
+    """What JSON can hold of a run; `begun` says whether an episode is under way."""
     return {
         "method": run.spec.method,
         "seed": run.spec.seed,
@@ -518,7 +538,8 @@ def _facts(run: Run) -> dict[str, Any]:
         "env_steps": run.env_steps,
         "updates": run.updates,
         "seconds": time.monotonic() - run.started,
-        "episodes": run.episodes,
+        "begun": bool(begun),
+        "episodes": list(run.episodes),
     }
 
 

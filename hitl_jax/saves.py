@@ -72,20 +72,26 @@ class Saves:
         number = self._number + 1
         names = [_name(run) for run in runs]
         new = dict(zip(names, (run.frames for run in runs), strict=True))
-        self._lengths[number] = {name: len(frames) for name, frames in new.items()}
+        before = self._lengths
+        lengths = before | {number: {name: len(frames) for name, frames in new.items()}}
+        lengths = _reaching_back(lengths, dict.fromkeys(names, self._capacity))
         _write(self._file("frames", number), new)
         arrays: dict[str, np.ndarray] = {}
         facts = []
         for index, run in enumerate(runs):
             arrays |= {f"{index}/{name}": getattr(run, name) for name in _ARRAYS}
             columns = to_columns(run.facts["episodes"], EPISODE_COLUMNS)
-            arrays[f"{index}/episodes"] = _to_bytes(table_to_csv(to_table(columns, EPISODE_COLUMNS)))
+            arrays[f"{index}/episodes"] = _to_bytes(
+                table_to_csv(to_table(columns, EPISODE_COLUMNS))
+            )
             facts.append({name: value for name, value in run.facts.items() if name != "episodes"})
-        head = {"format": FORMAT, "runs": facts, "frames": self._lengths}
+        head = {"format": FORMAT, "runs": facts, "frames": lengths}
         arrays["head"] = _to_bytes(json.dumps(head, allow_nan=False))
         _write(self._file("state", number), arrays)
-        self._number = number
-        self._prune(names)
+        self._number, self._lengths = number, lengths
+        self._keep("state", {number - 1, number})
+        self._keep("frames", {*before, *lengths})
+        remove_leftovers(self._path)
 
     def remove(self) -> None:
         """Removes the folder: nothing is under way any more."""
@@ -123,23 +129,11 @@ class Saves:
             runs[key] = SavedRun(facts | {"episodes": rows}, frames=frames, **parts)
         return runs
 
-    def _prune(self, names: Sequence[str]) -> None:
-        """Removes what neither the newest state nor the one before it needs."""
-        last = self._number - 1
-        needed = {name: self._capacity for name in {*names, *self._lengths.get(last, {})}}
-        newest_first = sorted(self._lengths, reverse=True)
-        for number in newest_first:
-            if number > last:
-                continue  # The state before this one must find its frames in older files alone.
-            if all(needed.get(name, 0) <= 0 for name in self._lengths[number]):
-                del self._lengths[number]
-            for name, length in self._lengths.get(number, {}).items():
-                needed[name] = needed.get(name, 0) - length
-        for number in self._numbers("state") - {last, self._number}:
-            self._file("state", number).unlink(missing_ok=True)
-        for number in self._numbers("frames") - set(self._lengths):
-            self._file("frames", number).unlink(missing_ok=True)
-        remove_leftovers(self._path)
+    def _keep(self, kind: str, numbers: set[int]) -> None:
+        """Removes the others."""
+        for number in self._numbers(kind) - numbers:
+            with named_errors(self._file(kind, number)):
+                self._file(kind, number).unlink()
 
     def _file(self, kind: str, number: int) -> pathlib.Path:
         return self._path / f"{kind}-{number:06d}.npz"
@@ -147,6 +141,17 @@ class Saves:
     def _numbers(self, kind: str) -> set[int]:
         found = (re.fullmatch(rf"{kind}-(\d+)\.npz", path.name) for path in self._path.glob("*"))
         return {int(match[1]) for match in found if match}
+
+
+def _reaching_back(lengths: Lengths, needed: dict[str, int]) -> Lengths:
+    """Of all files those that hold one of the last so many frames of a run."""
+    kept: Lengths = {}
+    for number in sorted(lengths, reverse=True):
+        if any(needed.get(name, 0) > 0 for name in lengths[number]):
+            kept[number] = lengths[number]
+        for name, length in lengths[number].items():
+            needed[name] = needed.get(name, 0) - length
+    return kept
 
 
 def _name(run: SavedRun) -> str:

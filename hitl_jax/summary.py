@@ -121,16 +121,19 @@ def write_summary(folder: ResultsFolder, rng: np.random.Generator) -> list[pathl
 def skill_over_training(run: Run) -> tuple[np.ndarray, np.ndarray]:
     """Mean autonomous test return at the points of training that were tested, the end last.
 
+    At every point over the same terrains: of the test at the end, the first episodes alone.
+
     Args:
-        run: a finished run.
+        run: a finished run that was tested during training.
 
     Returns:
         Training episodes until then [P], and the mean returns [P].
     """
-    trained = run.progress["trained"]
+    trained, number = run.progress["trained"], run.progress["episode"]
     points = np.unique(trained)
     means = [run.progress["return"][trained == point].mean() for point in points]
-    last = select(run.tests, "mode", "autonomous")["return"].mean()
+    end = select(run.tests, "mode", "autonomous")
+    last = end["return"][end["episode"] <= number.max()].mean()
     return np.append(points, len(run.episodes["episode"])), np.array([*means, last])
 
 

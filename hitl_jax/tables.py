@@ -113,6 +113,15 @@ def table_from_csv(text: str, names: tuple[str, ...]) -> Table:
     Raises:
         ValueError: one line saying what is wrong, with the line of the file where there is one.
     """
+    return to_table(cells_from_csv(text, names), names)
+
+
+def cells_from_csv(text: str, names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """The cells of a CSV as text, by column.
+
+    Raises:
+        ValueError: one line, if the header is another, or a line is cut short.
+    """
     rows = list(csv.reader(io.StringIO(text)))
     if not rows or tuple(rows[0]) != names:
         raise ValueError(f"the header is not {','.join(names[:3])},…")
@@ -122,7 +131,7 @@ def table_from_csv(text: str, names: tuple[str, ...]) -> Table:
     if not text.endswith("\n"):
         raise ValueError(f"line {len(rows)} is cut short")
     cells = zip(*rows[1:], strict=True) if len(rows) > 1 else ((),) * len(names)
-    return to_table(dict(zip(names, cells, strict=True)), names)
+    return dict(zip(names, cells, strict=True))
 
 
 def select(table: Table, column: str, value: str) -> Table:

@@ -1,10 +1,14 @@
 """Alarms at any boundary: counted by hand, and as the tests of a run count them."""
 
 import numpy as np
+import pytest
 
+from experiments import alarm_figure
 from experiments import alarms as command
 from experiments.cli import run_main
 from hitl_jax.alarms import count_alarms, total
+from hitl_jax.files import ResultsError
+from hitl_jax.results import ResultsFolder
 
 _TAUS = np.array([0.0, 0.5, 2.0])
 
@@ -38,3 +42,11 @@ def test_the_folder_must_hold_runs(tmp_path, capsys):
     assert capsys.readouterr().err == f"error: {tmp_path}: no results here (no config.json)\n"
     assert run_main(command.AlarmOptions, command.main, [str(tmp_path), "--episodes", "0"]) == 2
     assert "--episodes 0: must be at least 1" in capsys.readouterr().err
+
+
+def test_a_damaged_table_is_one_line(tmp_path):
+    folder = ResultsFolder(tmp_path / "out")
+    folder.create_or_resume({"agent": {}}, "command")
+    (folder.path / alarm_figure.DATA).write_text("method,seed\nsrl,0\n")
+    with pytest.raises(ResultsError, match=r"alarms.csv: damaged: the header is not method,seed"):
+        alarm_figure.draw(folder)

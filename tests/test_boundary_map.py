@@ -19,7 +19,7 @@ from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
 _KEY = RunKey("hitl-ac", 0)
 
 
-def _folder(path, source):
+def _folder(path, source, carry=0.25):
     config = AgentConfig(hidden_sizes=(16,), boundary_source=source)
     folder = ResultsFolder(path)
     hyper = dataclasses.asdict(Hyper(initial_boundary=0.6))
@@ -29,7 +29,7 @@ def _folder(path, source):
     info = {"config": {}, "versions": {}, "commit": None}
     info |= {"wall_seconds": 1.0, "env_steps": 0, "updates": 0}
     tables = ({name: [] for name in names} for names in (EPISODE_COLUMNS, TEST_COLUMNS))
-    folder.save_run(_KEY, *tables, checkpoint.flatten(state, np.float32(0.25)), info)
+    folder.save_run(_KEY, *tables, checkpoint.flatten(state, np.float32(carry)), info)
     return folder
 
 
@@ -37,13 +37,17 @@ def _run(folder, *options):
     return run_main(boundary_map.MapOptions, boundary_map.main, [str(folder.path), *options])
 
 
-@pytest.mark.parametrize(("source", "expected"), [("network", 0.6), ("residual", 0.85)])
-def test_the_map_shows_what_is_executed(tmp_path, source, expected):
-    folder = _folder(tmp_path / "out", source)
+@pytest.mark.parametrize(
+    ("source", "carry", "expected"),
+    [("network", 0.25, 0.6), ("residual", 0.25, 0.85), ("residual", -0.9, 0.05)],
+)
+def test_the_map_shows_what_is_executed(tmp_path, source, carry, expected):
+    folder = _folder(tmp_path / "out", source, carry)
     assert _run(folder, "--episodes", "2") == 0
     rows = list(csv.DictReader((folder.path / boundary_map.DATA).read_text().splitlines()))
     assert rows
-    # An untrained actor gives τ_0 everywhere; `residual` adds what line 8 has gathered.
+    # An untrained actor gives τ_0 everywhere; `residual` adds what line 8 has gathered, but 0.05
+    # is the least boundary.
     assert [float(row["boundary"]) for row in rows] == pytest.approx([expected] * len(rows))
     assert (folder.path / "figures" / "figure9_map.png").exists()
 

@@ -4,6 +4,7 @@ import re
 import pytest
 
 from hitl_jax.config import AgentConfig, Hyper, Method, RunHyper, hyper_for, validate_hyper
+from hitl_jax.learners import LEARNERS
 
 
 @pytest.mark.parametrize(
@@ -58,3 +59,15 @@ def test_methods_share_everything_but_their_flags():
     assert made[Method.SRL]["has_arbiter"] == 0.0
     assert made[Method.HITL_FIX]["has_arbiter"] == 1.0
     assert made[Method.HITL_FIX]["learns_boundary"] == 0.0
+
+
+def test_what_the_learners_are():
+    named = {
+        name: (of.num_critics, of.policy_delay, of.smooths_target, of.num_quantiles)
+        for name, of in LEARNERS.items()
+    }
+    assert named == {
+        "ddpg": (1, 1, False, None),
+        "td3": (2, 2, True, None),
+        "td3-tqc": (2, 2, True, 10),
+    }

@@ -66,6 +66,8 @@ def test_snapshots_share_the_walkers_and_are_tested_as_the_end_is():
     assert [(row["trained"], row["episode"]) for row in rows] == [
         *((3, 1), (3, 2), (6, 1), (6, 2), (9, 1), (9, 2)),
     ]
+    one = evaluate_snapshots(Evaluator(agent, ToyPool(1)), Run(spec, 0, snapshots=snapshots))
+    assert [row["trained"] for row in one] == [3, 6, 9]
     end = FinishedRun(Run(spec, 0), trained[1], np.float32(0.4))
     tested = evaluate_run(Evaluator(agent, ToyPool(2)), end, ("autonomous",))
     for row, alone in zip(rows[2:4], tested, strict=True):

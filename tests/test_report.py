@@ -60,7 +60,7 @@ def test_all_claims_can_hold():
         ac=[{"rises_at": 250, "test_return": 310.0 + seed, "assisted": 15.0} for seed in range(5)],
     )
     verdicts = {name: claim.verdict for name, claim in claims.items()}
-    assert verdicts.pop("Alarms before falls") == verdicts.pop("Skill over training") == "–"
+    assert verdicts.pop("Alarms before falls") == "–"
     assert set(verdicts.values()) == {HOLDS}
     # Of 100 returns of 300 or -100, 75 of 300 make a mean of 200.
     speed = claims["Training speed (Figure 4)"].measured
@@ -92,7 +92,7 @@ def test_all_claims_can_fail():
         ],
     )
     verdicts = {name: claim.verdict for name, claim in claims.items()}
-    del verdicts["Alarms before falls"], verdicts["Skill over training"]
+    del verdicts["Alarms before falls"]
     assert set(verdicts.values()) == {HOLDS_NOT}
     assert "HITL-AC never [never, never]" in claims["Training speed (Figure 4)"].measured
 

@@ -72,6 +72,13 @@ def test_a_snapshot_is_what_a_shorter_run_ends_with(together):
         assert snapshot.boundary == ended.boundary
 
 
+def test_snapshots_that_fall_due_in_one_chunk_are_all_kept():
+    spec = dataclasses.replace(_spec(Method.HITL_AC, 1), snapshots=(1, 2, 3, 4))
+    loop = LoopConfig(capacity=512, chunk=128, updates_per_step=0.0)
+    [run] = _play([spec], slots=2, loop=loop).values()
+    assert [snapshot.episode for snapshot in run.run.snapshots] == [1, 2, 3, 4]
+
+
 def test_methods_and_seeds_differ(together):
     returns = {key: [row["return"] for row in run.run.episodes] for key, run in together.items()}
     assert len({tuple(values) for values in returns.values()}) == len(returns)

@@ -66,7 +66,7 @@ def test_alarms_are_counted_in_the_episodes_of_the_tests(swept):
     for run in ResultsFolder(swept).load_all():
         alone = select(run.tests, "mode", "autonomous")
         rows = [row for row in counted if row["method"] == run.key.method]
-        assert len(rows) == len(alarms.BOUNDARIES)
+        assert len(rows) == alarms.NUM_BOUNDARIES
         assert {int(row["steps"]) for row in rows} == {alone["length"].sum()}
         assert {int(row["falls"]) for row in rows} == {alone["fall"].sum()}
         assert int(rows[0]["alarms"]) == int(rows[0]["steps"])  # a boundary of 0

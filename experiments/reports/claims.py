@@ -71,7 +71,7 @@ def judge(results: Results) -> list[Claim]:
         raise ValueError(f"{len(common)} seeds done in all methods, of at least {MIN_SEEDS}")
     runs = [[of[seed] for seed in common] for of in by_seed]
     results = results._replace(runs=dict(zip(METHODS, runs, strict=True)))
-    claims: list[Callable[[Results, np.random.Generator], Claim]] = [
+    claims: list[Callable[[Results, np.random.Generator], Claim | None]] = [
         _speed,
         _skill,
         _progress,
@@ -81,7 +81,8 @@ def judge(results: Results) -> list[Claim]:
         _assistance,
         _foresight,
     ]
-    return [claim(results, np.random.default_rng(0)) for claim in claims]
+    judged = (claim(results, np.random.default_rng(stats.SEED)) for claim in claims)
+    return [claim for claim in judged if claim is not None]
 
 
 def _speed(results: Results, rng: np.random.Generator) -> Claim:
@@ -132,22 +133,28 @@ def _skill(results: Results, rng: np.random.Generator) -> Claim:
     )
 
 
-def _progress(results: Results, rng: np.random.Generator) -> Claim:
+def _progress(results: Results, rng: np.random.Generator) -> Claim | None:
+    """None where no run was tested during training."""
     tested: dict[int, list[str]] = {}
     for method in reversed(METHODS):
-        points, returns = zip(*map(skill_over_training, results.runs[method]), strict=True)
-        if len({len(of) for of in returns}) > 1:
+        runs = [run for run in results.runs[method] if len(run.progress["trained"])]
+        if not runs:
             continue
+        points, returns = zip(*map(skill_over_training, runs), strict=True)
         scores = np.array(returns)
         low, high = stats.bootstrap_interval(scores, stats.interquartile_mean, rng)
         for at, point in enumerate(points[0]):
             centre = stats.interquartile_mean(scores[:, at], 0)
             cell = f"{method.upper()} {centre:.0f} [{low[at]:.0f}, {high[at]:.0f}]"
             tested.setdefault(int(point), []).append(cell)
+        episodes = int(runs[0].progress["episode"].max())
+    if not tested:
+        return None
     return Claim(
         "Skill over training",
         "–",
-        "reported: interquartile mean of the autonomous test return at points of training",
+        "reported: interquartile mean of the autonomous test return at points of training, over "
+        f"the same {episodes} test episodes of a run at each",
         "; ".join(f"episode {point}: {', '.join(cells)}" for point, cells in tested.items()),
         "–",
     )
