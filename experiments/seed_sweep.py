@@ -20,7 +20,14 @@ from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
 from experiments.options import SweepOptions
 from experiments.progress import Progress
-from experiments.training import Plant, Tested, make_team, policy_digest, train_and_test
+from experiments.training import (
+    Interrupted,
+    Plant,
+    Tested,
+    make_team,
+    policy_digest,
+    train_and_test,
+)
 from hitl_jax import checkpoint, figures, stats
 from hitl_jax.agent import Agent
 from hitl_jax.config import Method, hyper_for
@@ -32,11 +39,14 @@ from hitl_jax.files import ResultsError
 from hitl_jax.provenance import git_commit, processor, versions
 from hitl_jax.results import ResultsFolder, RunKey
 from hitl_jax.rollout import Rollout, RunSpec, num_slots
+from hitl_jax.saved import SavedRun
+from hitl_jax.saves import Saves
 from hitl_jax.summary import write_summary
 from hitl_jax.tables import EPISODE_COLUMNS, PROGRESS_COLUMNS, TEST_COLUMNS, to_columns
 
 FIRST_FIGURES_SECONDS = 100.0
 FIGURES_SECONDS = 300.0
+SAVE_SECONDS = 120.0
 FIGURES_NICE = 10
 """Added to the process's own: a drawing must not keep walkers waiting."""
 
@@ -84,13 +94,15 @@ def main(options: SweepOptions) -> int:
     try:
         if specs:
             sweep.run()
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         sweep.stop_drawing()
+        if isinstance(stop, Interrupted):
+            sweep.save()
         sweep.save_partial()
         _draw(folder)
         print(
             f"\nStopped. Figures and tables of what there is: {options.out}. The same command goes "
-            "on with the runs that are not finished.",
+            "on where it was.",
             flush=True,
         )
         return 130
@@ -117,9 +129,12 @@ class _Sweep:
         self._config = config
         self._specs = specs
         self._rollout: Rollout | None = None
+        self._saves = Saves(folder.path / "under_way", options.loop.frames)
+        self._left_alone: list[SavedRun] = []
         self._drawing: subprocess.Popen | None = None
         self._started = time.monotonic()
         self._draw_at = self._started + FIRST_FIGURES_SECONDS
+        self._save_at = self._started + SAVE_SECONDS
         self._provenance = {
             "versions": versions(),
             "commit": git_commit(),
@@ -140,16 +155,45 @@ class _Sweep:
                 f"{len(self._specs)} runs in {slots} slots on {len(devices)} {devices[0].platform} "
                 f"devices; results in {options.out}"
             )
-            tested = train_and_test(self._agent, self._specs, options.loop, plant, self._watch)
+            saved, notes = self._saves.load()
+            for note in notes:
+                progress.say(f"a save cannot be used: {note}")
+            names = {spec.name for spec in self._specs}
+            finished = self._folder.finished()
+            by_name = {
+                (Method(key.method), key.seed): run
+                for key, run in saved.items()
+                if key not in finished
+            }
+            going_on = {name: run for name, run in by_name.items() if name in names}
+            self._left_alone = [
+                run.without_new_frames() for name, run in by_name.items() if name not in names
+            ]
+            if going_on:
+                progress.say(f"{len(going_on)} runs go on where they were saved")
+            tested = train_and_test(
+                self._agent, self._specs, options.loop, plant, self._watch, going_on
+            )
             with contextlib.closing(tested):
                 for run in tested:
                     self._finish(run)
+        if not self._left_alone:
+            self._saves.remove()
         if self._drawing is not None:
             self._drawing.wait()
+
+    def save(self) -> None:
+        """Writes all that the runs under way need to go on."""
+        if self._rollout is not None:
+            # Finished runs among them are not asked for when the sweep goes on.
+            self._saves.write([*self._rollout.save(), *self._left_alone])
+            self._save_at = time.monotonic() + SAVE_SECONDS
 
     def _watch(self, rollout: Rollout) -> None:
         self._rollout = rollout
         self._progress.show(rollout.runs())
+        if time.monotonic() >= self._save_at:
+            self.save()
         self._draw_now_and_then()
 
     def save_partial(self) -> None:

@@ -4,7 +4,7 @@ import contextlib
 import hashlib
 import pathlib
 import signal
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from hitl_jax import checkpoint, human_actions
@@ -14,7 +14,8 @@ from hitl_jax.envs import WalkerPool, make_pool
 from hitl_jax.episodes import Row
 from hitl_jax.evaluation import Evaluator, Mode, evaluate_run, evaluate_snapshots
 from hitl_jax.networks import Actor
-from hitl_jax.rollout import FinishedRun, LoopConfig, Rollout, RunSpec, episode_seed
+from hitl_jax.rollout import FinishedRun, LoopConfig, Rollout, RunName, RunSpec, episode_seed
+from hitl_jax.saved import SavedRun
 
 
 class Plant(NamedTuple):
@@ -79,6 +80,7 @@ def train_and_test(
     loop: LoopConfig,
     plant: Plant,
     watch: Callable[[Rollout], None],
+    saved: Mapping[RunName, SavedRun] | None = None,
 ) -> Generator[Tested]:
     """Gives each run as it ends, tested.
 
@@ -88,10 +90,11 @@ def train_and_test(
         loop: how much they play and learn.
         plant: the walkers.
         watch: called after each chunk.
+        saved: runs to go on with; None also says that `watch` saves none.
 
     Raises:
-        KeyboardInterrupt: after Ctrl-C, when the chunk, or the test, under way has ended; after a
-            second one at once.
+        Interrupted: after Ctrl-C, when the chunk, or the test, under way has ended.
+        KeyboardInterrupt: after a second one, at once.
     """
 
     def pool_of(phase: str, walkers: int) -> WalkerPool:
@@ -106,7 +109,7 @@ def train_and_test(
         _deferred_interrupt() as interrupted,
     ):
         evaluator = Evaluator(agent, test_pool)
-        rollout = Rollout(agent, specs, pool, loop)
+        rollout = Rollout(agent, specs, pool, loop, saved=saved)
         for done in rollout:
             for finished in done:
                 tests = evaluate_run(evaluator, finished, _modes(finished.run.spec.method))
@@ -122,9 +125,13 @@ def _modes(method: Method) -> tuple[Mode, ...]:
     return ("autonomous", "assisted")
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C, noticed between two chunks: the runs can be saved."""
+
+
 @contextlib.contextmanager
 def _deferred_interrupt() -> Iterator[Callable[[], None]]:
-    """Gives a function that raises KeyboardInterrupt after Ctrl-C; a second one stops at once.
+    """Gives a function that raises Interrupted after Ctrl-C; a second one stops at once.
 
     Raised at any instant, KeyboardInterrupt could land where Python drops it.
     """
@@ -137,7 +144,7 @@ def _deferred_interrupt() -> Iterator[Callable[[], None]]:
 
     def stop_if_noted() -> None:
         if noted:
-            raise KeyboardInterrupt
+            raise Interrupted
 
     previous = signal.signal(signal.SIGINT, note)
     try:

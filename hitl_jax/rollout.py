@@ -254,11 +254,17 @@ class Rollout:
             )
         )
         self._seat_all(self._slot_order())
-        self._behavior = self._to_acting(self._learned.popleft())
 
     def __iter__(self) -> Iterator[list[FinishedRun]]:
-        """Plays chunk after chunk; gives the runs that finished in each."""
+        """Plays chunk after chunk; gives the runs that finished in each.
+
+        First, those that had ended when they were saved.
+        """
+        if ended := [run for run in self.runs() if run.done]:
+            yield [self.collect(run) for run in ended]
+            self._replace(ended)
         while self._active.any():
+            self._behavior = self._to_acting(self._learned.popleft())  # Waits for the learner.
             frames = self._play()
             for run in self.runs():
                 self._keep_snapshots(run)
@@ -266,10 +272,7 @@ class Rollout:
             results = [self.collect(run) for run in finished]
             self._learn(frames)
             yield results
-            for run in finished:
-                self._runs[run.slot] = None
-            self._seat_all([run.slot for run in finished])
-            self._behavior = self._to_acting(self._learned.popleft())  # Waits for the learner.
+            self._replace(finished)
 
     def runs(self) -> list[Run]:
         """The runs under way, and those that have just been given as finished."""
@@ -282,19 +285,18 @@ class Rollout:
         return FinishedRun(run, self._fetch(train, run), self._boundary_of(run))
 
     def save(self) -> list[SavedRun]:
-        """The runs that are under way, between two chunks; waits for the learner.
+        """The runs that are under way, have just ended, or were saved and wait for a slot.
 
-        With `saved` given at the start. The frames are those since the runs were saved before.
+        Between two chunks; waits for the learner; only with `saved` given at the start. The frames
+        are those since the runs were saved before.
         """
         words = [np.asarray(self._programs.pack_train(seats.train)) for seats in self._seats]
         learned = [[np.asarray(part) for part in waiting] for waiting in self._learned]
         acting = np.asarray(self._acting.state)
         recent = np.concatenate(self._recent, axis=1)
         self._recent = [recent[:, :0]]
-        saved = []
+        saved = [run.without_new_frames() for run in self._saved.values()]
         for run in self.runs():
-            if run.done:
-                continue
             device, column = divmod(run.slot, self._share)
             totals, alarms = self._counter.state_of(run.slot)
             saved.append(
@@ -318,6 +320,12 @@ class Rollout:
         """Returns when the learner has nothing left to do."""
         jax.block_until_ready([seats.train.learner for seats in self._seats])
 
+    def _replace(self, ended: Sequence[Run]) -> None:
+        """Gives the slots of runs that have ended to others."""
+        for run in ended:
+            self._runs[run.slot] = None
+        self._seat_all([run.slot for run in ended])
+
     def _slot_order(self) -> list[int]:
         """Slots such that neighbours in the queue go to different devices."""
         slots = np.arange(len(self._runs)).reshape(len(self._devices), self._share)
@@ -334,7 +342,7 @@ class Rollout:
             saved = self._saved.pop(spec.name, None)
             if saved is not None:
                 self._take_up(slot, saved)
-                if not self._needs_reset[slot]:
+                if self._active[slot] and not self._needs_reset[slot]:
                     back[slot] = saved.actions
         bring_back(self._pool, self._seeds, back, self._observation)
 
@@ -367,6 +375,8 @@ class Rollout:
         self._check_fit(run.spec, saved)
         cursor = int(seats.memory.cursor)
         ring = np.zeros((self._config.frames, self._layout.width), np.float32)
+        if saved.facts["begun"] and not self._pool.seedable:
+            saved = _without_episode(saved, self._layout.truncated)
         frames = saved.frames[-len(ring) :]
         ring[np.arange(cursor - len(frames), cursor) % len(ring)] = frames
         start = np.int32(cursor - len(frames))
@@ -385,6 +395,8 @@ class Rollout:
         run.snapshots = [Snapshot(*one) for one in kept]
         self._counter.restore(slot, saved.totals, saved.alarms)
         self._log.begin(slot, saved.actions)
+        run.done = len(run.episodes) >= run.spec.episodes
+        self._active[slot] = not run.done
         self._needs_reset[slot] = not facts["begun"]
         self._seeds[slot] = episode_seed(run.spec.method, run.spec.seed, len(run.episodes))
         self._observation[slot] = saved.observation
@@ -541,6 +553,23 @@ def _facts(run: Run, begun: bool) -> dict[str, Any]:
         "begun": bool(begun),
         "episodes": list(run.episodes),
     }
+
+
+def _without_episode(saved: SavedRun, truncated: int) -> SavedRun:
+    """The run at the end of its last episode: the walker of the next cannot be brought back.
+
+    The steps that it took stay in the replay, as of an episode that was cut off.
+    """
+    frames = saved.frames.copy()
+    if len(saved.actions):
+        frames[-1, truncated] = 1.0
+    return saved._replace(
+        facts=saved.facts | {"begun": False},
+        frames=frames,
+        actions=saved.actions[:0],
+        totals=np.zeros_like(saved.totals),
+        alarms=np.zeros_like(saved.alarms),
+    )
 
 
 def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:

@@ -43,6 +43,10 @@ class SavedRun(NamedTuple):
     alarms: np.ndarray
     frames: np.ndarray
 
+    def without_new_frames(self) -> "SavedRun":
+        """To be saved again as it is."""
+        return self._replace(frames=self.frames[:0])
+
 
 class CannotReturn(RuntimeError):
     """A walker did not come back as it was; one line."""

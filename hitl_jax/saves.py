@@ -6,10 +6,11 @@
     FOLDER/state-000012.npz     all else of each run, and which frames belong to it
 
 A save counts once its state is there, whole. The state before it is kept, in case the newest cannot
-be read; frames are kept as long as one of the two needs them, and never changed. Reading executes
-nothing (no pickle), and every array has a checksum (CRC-32, of the zip format).
+be read; frames are kept as long as one of the two needs them, and never changed. A file is an npz
+with a checksum behind it; reading executes nothing (no pickle).
 """
 
+import hashlib
 import io
 import json
 import pathlib
@@ -26,6 +27,7 @@ from hitl_jax.tables import EPISODE_COLUMNS, table_from_csv, table_to_csv, to_co
 
 FORMAT = 1
 
+_DIGEST_SIZE = 16  # bytes
 _ARRAYS = tuple(name for name in SavedRun._fields if name not in ("facts", "frames"))
 
 Lengths = dict[int, dict[str, int]]
@@ -165,13 +167,22 @@ def _key_name(key: RunKey) -> str:
 def _write(path: pathlib.Path, arrays: dict[str, np.ndarray]) -> None:
     archive = io.BytesIO()
     np.savez(archive, **arrays)  # type: ignore[arg-type]
-    write_bytes_atomic(path, archive.getvalue())
+    data = archive.getvalue()
+    write_bytes_atomic(path, data + _digest(data))
 
 
 def _read(path: pathlib.Path) -> dict[str, np.ndarray]:
-    with named_errors(path), open(path, "rb") as file:
-        archive = np.load(file, allow_pickle=False)
+    with named_errors(path):
+        data = path.read_bytes()
+        data, digest = data[:-_DIGEST_SIZE], data[-_DIGEST_SIZE:]
+        if digest != _digest(data):
+            raise ValueError("its checksum is wrong")
+        archive = np.load(io.BytesIO(data), allow_pickle=False)
         return {name: archive[name] for name in archive.files}
+
+
+def _digest(data: bytes) -> bytes:
+    return hashlib.blake2b(data, digest_size=_DIGEST_SIZE).digest()
 
 
 def _to_bytes(text: str) -> np.ndarray:

@@ -1,6 +1,7 @@
 """The main job end to end, on real walkers, and what it says to careless users."""
 
 import csv
+import itertools
 import json
 import os
 import signal
@@ -15,6 +16,7 @@ from experiments import alarms
 from experiments.cli import run_main
 from experiments.options import SweepOptions
 from experiments.seed_sweep import _Sweep, main
+from experiments.training import Interrupted
 from hitl_jax.results import ResultsFolder, RunKey
 from hitl_jax.tables import select
 
@@ -83,6 +85,29 @@ def test_a_second_start_skips_what_is_done_and_adds_seeds(swept, capsys):
     assert _run(swept) == 0
     assert time.monotonic() - start < 20
     assert "finished" not in capsys.readouterr().out
+
+
+def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys):
+    watch, chunks = _Sweep._watch, itertools.count(1)
+
+    def stop(sweep, rollout):
+        watch(sweep, rollout)
+        if next(chunks) == 5:
+            raise Interrupted
+
+    out = tmp_path / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_Sweep, "_watch", stop)
+        assert _run(out) == 130
+    assert list(out.glob("under_way/state-*.npz"))
+    assert _run(out, "--slots", "2") == 0
+    assert "3 runs go on where they were saved" in capsys.readouterr().out
+    assert not (out / "under_way").exists()
+    for run in ResultsFolder(swept).load_all():
+        again = ResultsFolder(out).load_run(run.key)
+        for name in ("episodes", "tests", "progress"):
+            for column, values in getattr(run, name).items():
+                np.testing.assert_array_equal(getattr(again, name)[column], values, err_msg=column)
 
 
 def test_a_run_does_not_depend_on_workers_and_company(swept, tmp_path):

@@ -1,0 +1,118 @@
+"""Saves on disk: what comes back, what is kept, and what damage does."""
+
+import numpy as np
+import pytest
+from test_results import make_episodes
+
+from hitl_jax.results import RunKey
+from hitl_jax.saved import SavedRun
+from hitl_jax.saves import Saves
+
+_CAPACITY = 8
+_KEY = RunKey("hitl-ac", 3)
+
+
+def _run(ticks, new, key=_KEY):
+    """A run after so many ticks, with its latest frames; frame t holds the number t."""
+    columns = {name: np.asarray(values).tolist() for name, values in make_episodes().items()}
+    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    facts = {"method": key.method, "seed": key.seed, "ticks": ticks, "episodes": rows}
+    return SavedRun(
+        facts=facts,
+        train=np.arange(3, dtype=np.uint32),
+        acting=np.arange(4, dtype=np.uint32),
+        behavior=np.ones((3, 2), np.float32),
+        snapshots=np.zeros((0,)),
+        boundaries=np.zeros((0,)),
+        observation=np.full(2, ticks, np.float32),
+        actions=np.zeros((0, 4), np.float32),
+        totals=np.zeros(2),
+        alarms=np.zeros(3, bool),
+        frames=np.arange(ticks - new, ticks, dtype=np.float32)[:, None],
+    )
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Two saves: after 4 ticks, and after 8."""
+    saves = Saves(tmp_path / "saves", _CAPACITY)
+    for ticks in (4, 8):
+        saves.write([_run(ticks, 4)])
+    return tmp_path / "saves"
+
+
+def test_a_run_comes_back_as_it_was_saved(folder):
+    runs, notes = Saves(folder, _CAPACITY).load()
+    assert notes == []
+    [(key, run)] = runs.items()
+    assert key == _KEY
+    saved = _run(8, 8)
+    assert repr(run.facts) == repr(saved.facts)  # as text, since NaN differs from itself
+    for name in SavedRun._fields[1:]:
+        there = getattr(run, name)
+        np.testing.assert_array_equal(there, getattr(saved, name), err_msg=name)
+        assert there.dtype == getattr(saved, name).dtype
+
+
+def test_only_what_the_two_newest_saves_need_is_kept(tmp_path):
+    saves = Saves(tmp_path / "saves", _CAPACITY)
+    other = RunKey("srl", 0)
+    for number in range(1, 8):
+        runs = [_run(4 * number, 4)] + ([_run(4 * number, 4, other)] if number < 4 else [])
+        saves.write(runs)
+        loaded, _ = Saves(tmp_path / "saves", _CAPACITY).load()
+        expected = np.arange(max(4 * number - _CAPACITY, 0), 4 * number)
+        assert loaded.keys() == ({_KEY, other} if number < 4 else {_KEY})
+        for run in loaded.values():
+            np.testing.assert_array_equal(run.frames[:, 0], expected)
+    names = sorted(path.name for path in (tmp_path / "saves").iterdir())
+    frames = [f"frames-00000{number}.npz" for number in (5, 6, 7)]
+    assert names == [*frames, "state-000006.npz", "state-000007.npz"]
+    saves.remove()
+    assert not (tmp_path / "saves").exists()
+    saves.remove()
+
+
+def test_a_run_that_waits_is_saved_again_as_it_is(folder):
+    saves = Saves(folder, _CAPACITY)
+    [run] = saves.load()[0].values()
+    for _ in range(5):
+        saves.write([run.without_new_frames()])
+    [again] = Saves(folder, _CAPACITY).load()[0].values()
+    np.testing.assert_array_equal(again.frames, run.frames)
+
+
+@pytest.mark.parametrize("cut", [0, 100, -1])
+def test_a_damaged_save_gives_way_to_the_one_before(folder, cut):
+    newest = folder / "state-000002.npz"
+    newest.write_bytes(newest.read_bytes()[:cut])
+    saves = Saves(folder, _CAPACITY)
+    runs, [note] = saves.load()
+    assert note.startswith(f"{newest}: damaged: ")
+    assert "\n" not in note
+    assert runs[_KEY].facts["ticks"] == 4
+    saves.write([_run(8, 4)])
+    assert Saves(folder, _CAPACITY).load()[0][_KEY].facts["ticks"] == 8
+
+
+@pytest.mark.parametrize("name", ["state-000002.npz", "frames-000002.npz"])
+def test_every_flipped_byte_is_noticed(folder, name):
+    path = folder / name
+    whole = path.read_bytes()
+    for place in range(0, len(whole), 97):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        runs, [note] = Saves(folder, _CAPACITY).load()
+        assert note == f"{path}: damaged: its checksum is wrong"
+        assert runs[_KEY].facts["ticks"] == 4
+
+
+def test_without_its_frames_a_save_does_not_count(folder):
+    (folder / "frames-000001.npz").unlink()
+    runs, notes = Saves(folder, _CAPACITY).load()
+    assert runs == {}
+    assert len(notes) == 2
+
+
+def test_nothing_there_is_nothing_saved(tmp_path):
+    assert Saves(tmp_path / "none", _CAPACITY).load() == ({}, [])
+    Saves(tmp_path / "none", _CAPACITY).remove()
