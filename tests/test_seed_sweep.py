@@ -103,8 +103,8 @@ def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys)
     assert _run(out, "--slots", "2") == 0
     assert "3 runs go on where they were saved" in capsys.readouterr().out
     assert not (out / "under_way").exists()
-    for run in ResultsFolder(swept).load_all():
-        again = ResultsFolder(out).load_run(run.key)
+    for again in ResultsFolder(out).load_all():
+        run = ResultsFolder(swept).load_run(again.key)
         for name in ("episodes", "tests", "progress"):
             for column, values in getattr(run, name).items():
                 np.testing.assert_array_equal(getattr(again, name)[column], values, err_msg=column)
