@@ -45,7 +45,7 @@ _FIGURES = {
 
 
 class _Comparison(NamedTuple):
-    """One learner's comparison of the three methods."""
+    """A comparison of the three methods: its learner, with options that are not defaults."""
 
     learner: str
     folder: str
