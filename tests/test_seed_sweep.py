@@ -100,7 +100,7 @@ def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys)
         patch.setattr(_Sweep, "_watch", stop)
         assert _run(out) == 130
     assert list(out.glob("under_way/state-*.npz"))
-    assert _run(out, "--slots", "2") == 0
+    assert _run(out) == 0
     assert "3 runs go on where they were saved" in capsys.readouterr().out
     assert not (out / "under_way").exists()
     for again in ResultsFolder(out).load_all():
