@@ -45,7 +45,7 @@ _FIGURES = {
 
 
 class _Comparison(NamedTuple):
-    """One learner's comparison of the three methods."""
+    """A comparison of the three methods: its learner, with options that are not defaults."""
 
     learner: str
     folder: str
@@ -53,7 +53,7 @@ class _Comparison(NamedTuple):
 
 _COMPARISONS = (
     _Comparison("td3-tqc", "ten_seeds"),
-    _Comparison("td3", "ten_seeds_td3"),
+    _Comparison("td3 --exploration-noise 0.2", "ten_seeds_td3"),
     _Comparison("ddpg", "ten_seeds_ddpg"),
 )
 

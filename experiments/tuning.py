@@ -34,6 +34,7 @@ _BASE: Changes = {
     "n_step": 4,
     "updates_per_step": 0.5,
     "noise_free_every": 0,
+    "exploration_noise": 0.2,
 }
 
 _NORM: Changes = {"batch_size": 64, "layer_norm": True}

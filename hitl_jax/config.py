@@ -145,7 +145,7 @@ class Hyper:
     gamma: float = 0.98
     target_noise: float = 0.2
     target_noise_clip: float = 0.5
-    exploration_noise: float = 0.2
+    exploration_noise: float = 0.3
     noise_correlation: float = 0.8
     noise_free_every: int = 4
     warmup_steps: int = 2000

@@ -9,7 +9,9 @@ from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.devices import cpu_device
 from hitl_jax.keys import make_key
 
-_AGENT = agents.make_agent(AgentConfig(hidden_sizes=(16, 16), batch_size=16, n_step=2))
+_AGENT = agents.make_agent(
+    AgentConfig(learner="td3", hidden_sizes=(16, 16), batch_size=16, n_step=2)
+)
 _UPDATES = 4
 
 

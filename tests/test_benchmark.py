@@ -81,7 +81,7 @@ def test_growth_with_runs_is_drawn(tmp_path):
 def test_steps_of_a_stretch_are_counted_without_resets():
     specs = loop.specs_of([Method.SRL, Method.HITL_AC], 4)
     pool = ToyPool(4)
-    config = AgentConfig(hidden_sizes=(16,), batch_size=16)
+    config = AgentConfig(learner="td3", hidden_sizes=(16,), batch_size=16)
     rollout = Rollout(make_agent(config), specs, pool, LoopConfig(capacity=512))
     chunks = iter(rollout)
     next(chunks)

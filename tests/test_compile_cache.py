@@ -18,7 +18,7 @@ missed = []
 jax.monitoring.register_event_listener(
     lambda event, **_: missed.append(event) if event.endswith("cache_misses") else None
 )
-agent = make_agent(AgentConfig(hidden_sizes=(16,), batch_size=16))
+agent = make_agent(AgentConfig(learner="td3", hidden_sizes=(16,), batch_size=16))
 rollout = Rollout(agent, specs_of(list(Method), 4), ToyPool(4), LoopConfig(capacity=1024))
 chunks = iter(rollout)
 for _ in range(50):

@@ -12,13 +12,14 @@ from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.devices import learning_devices
 from hitl_jax.rollout import LoopConfig, Rollout, RunSpec, episode_seed, num_slots
 
-_CONFIG = AgentConfig(hidden_sizes=(16, 16), batch_size=16, n_step=2)
+_CONFIG = AgentConfig(learner="td3", hidden_sizes=(16, 16), batch_size=16, n_step=2)
 _HYPER = Hyper(warmup_steps=64, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
 _LOOP = LoopConfig(capacity=512, chunk=8)
 
 
 def _spec(method, seed, **changes):
-    return RunSpec(method, seed, hyper_for(method, _HYPER.replace(**changes)), episodes=12)
+    hyper = hyper_for(method, _HYPER.replace(**changes))
+    return RunSpec(method, seed, hyper, episodes=12, snapshots=(3, 7))
 
 
 def _play(specs, slots, config=_CONFIG, loop=_LOOP):
@@ -61,15 +62,14 @@ def test_order_queue_and_neighbours_do_not_matter(together):
 
 
 def test_a_snapshot_is_what_a_shorter_run_ends_with(together):
-    spec = _spec(Method.HITL_AC, 1)
-    kept = _play([dataclasses.replace(spec, snapshots=(3, 7))], slots=2)[Method.HITL_AC, 1]
-    _assert_same(kept, together[Method.HITL_AC, 1])
-    assert [snapshot.episode for snapshot in kept.run.snapshots] == [3, 7]
-    for snapshot in kept.run.snapshots:
-        short = dataclasses.replace(spec, episodes=snapshot.episode)
-        ended = _play([short], slots=2)[Method.HITL_AC, 1]
-        jax.tree.map(np.testing.assert_array_equal, snapshot.behavior, behavior(ended.train))
-        assert snapshot.boundary == ended.boundary
+    kept = together[Method.HITL_AC, 1].run.snapshots
+    assert [snapshot.episode for snapshot in kept] == [3, 7]
+    short = [dataclasses.replace(_spec(Method.HITL_AC, 1), episodes=n) for n in (3, 7)]
+    rollout = Rollout(make_agent(_CONFIG), short, ToyPool(2), _LOOP, tile=2)
+    ended = [run for done in rollout for run in done]
+    for snapshot, run in zip(kept, ended, strict=True):
+        jax.tree.map(np.testing.assert_array_equal, snapshot.behavior, behavior(run.train))
+        assert snapshot.boundary == run.boundary
 
 
 def test_snapshots_that_fall_due_in_one_chunk_are_all_kept():
@@ -141,7 +141,7 @@ def test_a_finished_run_takes_no_more_steps():
 
 @pytest.mark.parametrize("terminates", [True, False])
 def test_a_human_reset_ends_the_episode_and_pays_the_feedback(terminates):
-    config = AgentConfig(hidden_sizes=(16,), batch_size=16, human_reset_terminates=terminates)
+    config = dataclasses.replace(_CONFIG, human_reset_terminates=terminates)
     done = _play([_spec(Method.HITL_FIX, 0)], slots=2, config=config)[Method.HITL_FIX, 0]
     reset = [row for row in done.run.episodes if row["end"] == "human-reset"]
     assert reset
