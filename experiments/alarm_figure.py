@@ -141,5 +141,5 @@ def _mark_boundaries(
         band: dict[str, Any] = {"color": line_style("hitl-ac")["color"], "alpha": 0.3}
         marks.append(Patch(label="learned boundaries (HITL-AC)", linewidth=0, **band))
         for axes in axes_of:
-            axes.axvspan(min(ends), max(ends), linewidth=0, **band)
+            axes.axvspan(min(ends), max(ends), linewidth=1.5, **band)  # a line if they are equal
     return marks

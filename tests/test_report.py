@@ -1,5 +1,6 @@
 """The report: its verdicts, and that what is committed is what the data give."""
 
+import dataclasses
 import pathlib
 import shutil
 
@@ -11,7 +12,8 @@ from experiments.cli import run_main
 from experiments.reports.claims import HOLDS, HOLDS_NOT, UNDECIDED, Results, judge
 from experiments.reports.starts import judge_starts
 from hitl_jax.results import Run, RunKey
-from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS, to_table
+from hitl_jax.summary import skill_over_training
+from hitl_jax.tables import EPISODE_COLUMNS, PROGRESS_COLUMNS, TEST_COLUMNS, to_table
 
 _RESULTS = pathlib.Path(__file__).parents[1] / "results"
 
@@ -74,6 +76,26 @@ def test_all_claims_can_hold():
     assert claims["Alarms before falls"].measured == "5 of 10 falls; 0.20 s before it by the median"
     boundary = claims["The boundary (Figure 6)"].measured
     assert "for good from episode 300 on by the median (300 to 300)" in boundary
+
+
+def test_skill_over_training_is_over_equal_terrains():
+    progress = dict.fromkeys(PROGRESS_COLUMNS, np.zeros(2)) | {
+        "trained": [200, 400],
+        "episode": [1, 1],
+        "return": [10.0, 250.0],
+        "end": ["fall", "goal"],
+    }
+    run = _run("hitl-ac", 0, rises_at=300, test_return=300.0)
+    run.tests["return"][1] = -100.0  # of a terrain that the earlier tests did not have
+    run = dataclasses.replace(run, progress=to_table(progress, PROGRESS_COLUMNS))
+    points, returns = skill_over_training(run)
+    assert points.tolist() == [200, 400, 1000]
+    assert returns.tolist() == [10.0, 250.0, 300.0]
+    runs = [dataclasses.replace(run, key=RunKey("hitl-ac", seed)) for seed in range(5)]
+    results = Results(dict.fromkeys(("srl", "hitl-fix", "hitl-ac"), runs), 0.45)
+    [claim] = [claim for claim in judge(results) if claim.name == "Skill over training"]
+    assert "episode 400: HITL-AC 250 [250, 250]" in claim.measured
+    assert "the same 1 test episodes" in claim.aim
 
 
 def test_all_claims_can_fail():

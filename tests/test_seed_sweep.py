@@ -22,7 +22,7 @@ from hitl_jax.tables import select
 
 _SMALL = [
     *("--seeds", "1", "--episodes", "3", "--test-episodes", "2", "--warmup-steps", "100"),
-    *("--hidden-sizes", "16", "--batch-size", "16", "--capacity", "2000"),
+    *("--hidden-sizes", "16", "--batch-size", "16", "--capacity", "2000", "--learner", "td3"),
 ]
 
 

@@ -160,7 +160,7 @@ ABLATIONS: dict[str, Ablation] = {
         ),
     ),
     "arbiter": Ablation(
-        "Other arbiters; quantile, PID and random are given HITL-AC's rate of interventions",
+        "Other arbiters; quantile, PID and random are given the rate that HITL-AC has with td3",
         (
             Setting("Δ rule (default)"),
             Setting("fixed", methods=(Method.HITL_FIX,)),
