@@ -230,6 +230,7 @@ class _Sweep:
             arrays,
             info,
             to_columns(progress, PROGRESS_COLUMNS),
+            run.recordings,
         )
         self._folder.remove_partial(key)
         self._progress.finish(run)

@@ -8,6 +8,7 @@
     OUT/runs/<method>/seed-0003/test.csv     test episodes
     OUT/runs/<method>/seed-0003/progress.csv test episodes at earlier points of training
     OUT/runs/<method>/seed-0003/params.npz   the final parameters
+    OUT/runs/<method>/seed-0003/episodes.npz recorded training episodes, to be played again
     OUT/partial/<method>-seed-0003.csv       training episodes of a run still under way
     OUT/summary.csv, OUT/summary.md, OUT/figures/
 
@@ -23,6 +24,7 @@ import os
 import pathlib
 import re
 import tempfile
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -36,6 +38,7 @@ from hitl_jax.files import (
     write_text_atomic,
 )
 from hitl_jax.provenance import git_commit, versions
+from hitl_jax.recording import Recording
 from hitl_jax.tables import (
     EPISODE_COLUMNS,
     METHODS,
@@ -169,6 +172,7 @@ class ResultsFolder:
         params: dict[str, np.ndarray],
         info: dict[str, Any],
         progress: dict[str, Any] | None = None,
+        recordings: Mapping[str, Recording] | None = None,
     ) -> None:
         """Writes a finished run, whole or not at all.
 
@@ -179,6 +183,7 @@ class ResultsFolder:
             params: arrays by flat name, for example "actor/params/Dense_0/kernel".
             info: what `RUN_INFO` lists, and whatever else JSON can hold.
             progress: test episodes at earlier points of training, columns `PROGRESS_COLUMNS`.
+            recordings: training episodes to be played again, by name.
 
         Raises:
             ResultsError: if the run is there already, or the disk refuses.
@@ -195,13 +200,17 @@ class ResultsFolder:
             raise ValueError(f"parameter {objects[0]!r} is not an array of numbers")
         head = {"format": FORMAT, "method": key.method, "seed": key.seed, "status": "finished"}
         document = head | info | head  # `head` comes first, and `info` cannot change it
-        archive = io.BytesIO()
-        np.savez(archive, **params)  # type: ignore[arg-type]
+        recorded = {
+            f"{name}/{field}": getattr(kept, field)
+            for name, kept in (recordings or {}).items()
+            for field in Recording._fields
+        }
         contents = {
             "episodes.csv": table_to_csv(to_table(episodes, EPISODE_COLUMNS)).encode(),
             "test.csv": table_to_csv(to_table(tests, TEST_COLUMNS)).encode(),
             "progress.csv": table_to_csv(to_table(progress or _NONE, PROGRESS_COLUMNS)).encode(),
-            "params.npz": archive.getvalue(),
+            "params.npz": _to_npz(params, np.savez),
+            "episodes.npz": _to_npz(recorded, np.savez_compressed),
             "run.json": _to_json(document).encode(),
         }
         write_folder_atomic(final, contents)
@@ -239,11 +248,25 @@ class ResultsFolder:
         Raises:
             ResultsError: if the file is missing or damaged.
         """
-        path = self._run_path(key) / "params.npz"
-        # Opened here: np.load leaves the file open where the archive is damaged.
-        with named_errors(path), open(path, "rb") as file:
-            archive = np.load(file, allow_pickle=False)
-            return {name: archive[name] for name in archive.files}
+        return _read_npz(self._run_path(key) / "params.npz")
+
+    def load_recordings(self, key: RunKey) -> dict[str, Recording]:
+        """The recorded training episodes of a finished run, by name.
+
+        Raises:
+            ResultsError: if the file is damaged, or missing: the run was made without.
+        """
+        path = self._run_path(key) / "episodes.npz"
+        with named_errors(path):
+            arrays = _read_npz(path)
+            names = [name.removesuffix("/episode") for name in arrays if name.endswith("/episode")]
+            try:
+                return {
+                    name: Recording(int(arrays[f"{name}/episode"]), arrays[f"{name}/steps"])
+                    for name in names
+                }
+            except (KeyError, TypeError) as error:
+                raise ValueError(f"is not of this program: {error!r}") from error
 
     def write_partial(self, key: RunKey, episodes: dict[str, Any]) -> None:
         """Writes, in place of an earlier one, the training episodes so far of a run under way."""
@@ -346,6 +369,19 @@ def _read_json(path: pathlib.Path, required: tuple[str, ...]) -> dict[str, Any]:
         if missing:
             raise ValueError(f"lacks {', '.join(missing)}")
     return document
+
+
+def _to_npz(arrays: Mapping[str, Any], save: Callable[..., None]) -> bytes:
+    archive = io.BytesIO()
+    save(archive, **arrays)
+    return archive.getvalue()
+
+
+def _read_npz(path: pathlib.Path) -> dict[str, np.ndarray]:
+    # Opened here: np.load leaves the file open where the archive is damaged.
+    with named_errors(path), open(path, "rb") as file:
+        archive = np.load(file, allow_pickle=False)
+        return {name: archive[name] for name in archive.files}
 
 
 def _read_table(path: pathlib.Path, names: tuple[str, ...]) -> Table:

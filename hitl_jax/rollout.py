@@ -28,7 +28,8 @@ from hitl_jax.config import Method, RunHyper, require, typed
 from hitl_jax.devices import acting_device, default_tile, learning_devices
 from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.episodes import EpisodeCounter, Row, Step
-from hitl_jax.saved import ActionLog, CannotReturn, SavedRun, bring_back
+from hitl_jax.recording import STEP_COLUMNS, EpisodeLog, Recording, names_of
+from hitl_jax.saved import CannotReturn, SavedRun, bring_back
 from hitl_jax.types import Behavior, Params
 
 LAG = 2
@@ -132,6 +133,7 @@ class Run:
         updates: updates of the task learner.
         done: whether all episodes have ended.
         snapshots: those that are due so far.
+        recordings: episodes to be played again, by name; see `hitl_jax.recording`.
         started: when it was seated, on the monotonic clock [s].
     """
 
@@ -143,6 +145,7 @@ class Run:
     updates: int = 0
     done: bool = False
     snapshots: list[Snapshot] = dataclasses.field(default_factory=list)
+    recordings: dict[str, Recording] = dataclasses.field(default_factory=dict)
     started: float = dataclasses.field(default_factory=time.monotonic)
 
 
@@ -236,7 +239,7 @@ class Rollout:
         self._saves = saved is not None
         self._saved = dict(saved or {})
         self._recent = [np.zeros((slots, 0, self._layout.width), np.float32)]
-        self._log = ActionLog(slots, pool.action_size)
+        self._log = EpisodeLog(slots, pool.action_size)
         longest = max((len(run.frames) for run in self._saved.values()), default=0)
         self._seats = [self._programs.begin_ring(seats, longest) for seats in self._seats]
         self._queue = deque(sorted(specs, key=lambda spec: spec.name not in self._saved))
@@ -308,7 +311,10 @@ class Rollout:
                     snapshots=np.array([batch.flat(kept.behavior) for kept in run.snapshots]),
                     boundaries=np.array([kept.boundary for kept in run.snapshots]),
                     observation=self._observation[run.slot].copy(),
-                    actions=self._log.of(run.slot),
+                    steps=self._log.of(run.slot),
+                    recordings=np.concatenate(
+                        [self._log.none, *(kept.steps for kept in run.recordings.values())]
+                    ),
                     totals=totals,
                     alarms=alarms,
                     frames=recent[run.slot, max(recent.shape[1] - run.ticks, 0) :],
@@ -343,7 +349,7 @@ class Rollout:
             if saved is not None:
                 self._take_up(slot, saved)
                 if self._active[slot] and not self._needs_reset[slot]:
-                    back[slot] = saved.actions
+                    back[slot] = Recording(0, saved.steps).actions
         bring_back(self._pool, self._seeds, back, self._observation)
 
     def _seat(self, slot: int, spec: RunSpec) -> None:
@@ -394,7 +400,11 @@ class Rollout:
         kept = zip(due, self._behaviors(saved.snapshots), saved.boundaries, strict=True)
         run.snapshots = [Snapshot(*one) for one in kept]
         self._counter.restore(slot, saved.totals, saved.alarms)
-        self._log.begin(slot, saved.actions)
+        self._log.begin(slot, saved.steps)
+        place = 0
+        for name, (episode, length) in facts["recordings"].items():
+            run.recordings[name] = Recording(episode, saved.recordings[place : place + length])
+            place += length
         run.done = len(run.episodes) >= run.spec.episodes
         self._active[slot] = not run.done
         self._needs_reset[slot] = not facts["begun"]
@@ -452,10 +462,7 @@ class Rollout:
             decided = np.asarray(packed)
             command = np.where(live, Command.STEP, Command.IDLE).astype(np.uint8)
             command[self._active & self._needs_reset] = Command.RESET
-            action = decided[:, self._layout.action]
-            if self._saves:
-                self._log.add(live, action)
-            answer = self._pool.step(command, action, self._seeds)
+            answer = self._pool.step(command, decided[:, self._layout.action], self._seeds)
             frames[:, tick] = decided[:, : self._layout.width]
             self._record(live, decided, answer, frames[:, tick])
             self._observation = answer.observation
@@ -499,6 +506,8 @@ class Rollout:
             dangerous=flags["dangerous"],
             boundary=np.where(self._has_arbiter, decided[:, layout.boundary], np.nan),
         )
+        told = [getattr(step, name) for name in STEP_COLUMNS]
+        self._log.add(live, np.column_stack([decided[:, layout.action], *told]))
         self._needs_reset[:] = False
         for slot, row in self._counter.count(step):
             self._end_episode(slot, row)
@@ -508,6 +517,8 @@ class Rollout:
         assert run is not None
         run.env_steps += row["length"]
         run.episodes.append({"episode": len(run.episodes) + 1, "env_steps": run.env_steps, **row})
+        for name in names_of(run.episodes, run.recordings):
+            run.recordings[name] = Recording(len(run.episodes), self._log.of(slot))
         self._needs_reset[slot] = True
         self._log.begin(slot)
         self._seeds[slot] = episode_seed(run.spec.method, run.spec.seed, len(run.episodes))
@@ -551,6 +562,9 @@ def _facts(run: Run, begun: bool) -> dict[str, Any]:
         "updates": run.updates,
         "seconds": time.monotonic() - run.started,
         "begun": bool(begun),
+        "recordings": {
+            name: (kept.episode, len(kept.steps)) for name, kept in run.recordings.items()
+        },
         "episodes": list(run.episodes),
     }
 
@@ -561,12 +575,12 @@ def _without_episode(saved: SavedRun, truncated: int) -> SavedRun:
     The steps that it took stay in the replay, as of an episode that was cut off.
     """
     frames = saved.frames.copy()
-    if len(saved.actions):
+    if len(saved.steps):
         frames[-1, truncated] = 1.0
     return saved._replace(
         facts=saved.facts | {"begun": False},
         frames=frames,
-        actions=saved.actions[:0],
+        steps=saved.steps[:0],
         totals=np.zeros_like(saved.totals),
         alarms=np.zeros_like(saved.alarms),
     )

@@ -4,7 +4,7 @@ A Box2D world cannot be saved, but an episode is its reset seed and its actions:
 brought back by playing them again.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +24,8 @@ class SavedRun(NamedTuple):
         snapshots: what acting needed at each snapshot, packed, [K, B].
         boundaries: the boundary source's carry at each snapshot, [K] or [K, C].
         observation: s_t, [O].
-        actions: of the episode under way, [T, A].
+        steps: of the episode under way, [T, W]; see `hitl_jax.recording`.
+        recordings: steps of the recorded episodes, one after the other, [T, W].
         totals: of the episode under way, [...]; see `EpisodeCounter`.
         alarms: of its last steps, bool [k].
         frames: for the replay, newest last, [F, W]: those since the run was saved before, or all
@@ -38,7 +39,8 @@ class SavedRun(NamedTuple):
     snapshots: np.ndarray
     boundaries: np.ndarray
     observation: np.ndarray
-    actions: np.ndarray
+    steps: np.ndarray
+    recordings: np.ndarray
     totals: np.ndarray
     alarms: np.ndarray
     frames: np.ndarray
@@ -89,30 +91,3 @@ def bring_back(
             f"{len(changed)} of {len(walkers)} walkers did not come back as they were; "
             "was the sweep begun with another version of Box2D or gymnasium?"
         )
-
-
-class ActionLog:
-    """The actions of the episode that each walker is in."""
-
-    def __init__(self, num_walkers: int, action_size: int):
-        self._actions = np.zeros((num_walkers, 0, action_size), np.float32)
-        self._length = np.zeros(num_walkers, int)
-
-    def add(self, live: np.ndarray, action: np.ndarray) -> None:
-        """Notes the actions [N, A] of the walkers that take a step, bool [N]."""
-        if self._length.max(initial=0) >= self._actions.shape[1]:
-            self._actions = np.pad(self._actions, ((0, 0), (0, 256), (0, 0)))
-        walkers = np.flatnonzero(live)
-        self._actions[walkers, self._length[walkers]] = action[walkers]
-        self._length[walkers] += 1
-
-    def begin(self, walker: int, actions: Sequence[np.ndarray] | np.ndarray = ()) -> None:
-        """Forgets a walker's episode; `actions` are those of the one it is in."""
-        self._length[walker] = 0
-        for action in actions:
-            live = np.arange(len(self._length)) == walker
-            self.add(live, np.broadcast_to(action, (len(live), len(action))))
-
-    def of(self, walker: int) -> np.ndarray:
-        """A copy of a walker's actions, [T, A]."""
-        return self._actions[walker, : self._length[walker]].copy()

@@ -97,7 +97,7 @@ def test_the_files_are_for_common_tools(folder):
     save(folder)
     path = folder.path / "runs/hitl-ac/seed-0003"
     tables = {"episodes.csv", "test.csv", "progress.csv"}
-    assert everything_below(path) == {"run.json", "params.npz"} | tables
+    assert everything_below(path) == {"run.json", "params.npz", "episodes.npz"} | tables
     frame = pd.read_csv(path / "episodes.csv")
     assert tuple(frame.columns) == EPISODE_COLUMNS
     assert frame["final_boundary"].isna().all()

@@ -9,7 +9,8 @@ from toy import ToyPool
 
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.rollout import LoopConfig, Rollout, RunSpec
+from hitl_jax.envs import Command
+from hitl_jax.rollout import LoopConfig, Rollout, RunSpec, episode_seed
 from hitl_jax.saved import CannotReturn
 from hitl_jax.saves import Saves
 from hitl_jax.tables import EPISODE_COLUMNS, to_columns
@@ -40,6 +41,10 @@ def _assert_same(one, other):
     assert columns[0] == columns[1]
     jax.tree.map(np.testing.assert_array_equal, one.train, other.train)
     assert one.boundary == other.boundary
+    assert one.run.recordings.keys() == other.run.recordings.keys() >= {"best"}
+    for name, kept in one.run.recordings.items():
+        assert kept.episode == other.run.recordings[name].episode
+        np.testing.assert_array_equal(kept.steps, other.run.recordings[name].steps)
     assert len(one.run.snapshots) == len(other.run.snapshots) == 2
     jax.tree.map(np.testing.assert_array_equal, one.run.snapshots, other.run.snapshots)
 
@@ -55,7 +60,7 @@ def saved_run():
     rollout = _rollout(_SPECS[:1], 2, {})
     next(iter(rollout))
     [run] = rollout.save()
-    assert len(run.actions) == 7
+    assert len(run.steps) == 7
     return run
 
 
@@ -105,3 +110,23 @@ def test_a_run_that_does_not_fit_is_refused(saved_run):
     other = saved_run._replace(train=saved_run.train[:-1])
     with pytest.raises(CannotReturn, match="srl seed 0 was saved by another program"):
         _rollout(_SPECS[:1], 2, {_SPECS[0].name: other})
+
+
+def test_recorded_episodes_can_be_played_again(uninterrupted):
+    names = set()
+    for (method, seed), finished in uninterrupted.items():
+        for name, kept in finished.run.recordings.items():
+            pool = ToyPool(1)
+            resets = np.array([episode_seed(method, seed, kept.episode - 1)])
+            pool.step(np.array([Command.RESET]), np.zeros((1, 4), np.float32), resets)
+            total = 0.0
+            for action in kept.actions:
+                answer = pool.step(np.array([Command.STEP]), action[None], resets)
+                    total += float(answer.reward[0])
+            row = finished.run.episodes[kept.episode - 1]
+            assert total == row["return"]
+            assert kept.column("control").any() == (row["interventions"] > 0)
+            names.add(name)
+        returns = [row["return"] for row in finished.run.episodes]
+        assert finished.run.recordings["best"].episode == np.argmax(returns) + 1
+    assert names == {"best", "first-intervention"}
