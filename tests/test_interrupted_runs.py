@@ -1,4 +1,7 @@
-"""Runs that were saved, and taken up by another process, end as if nothing had happened."""
+"""Runs that were saved, and taken up by another process, end as if nothing had happened.
+
+The compiled programs are those of test_rollout.
+"""
 
 import itertools
 
@@ -17,7 +20,7 @@ from hitl_jax.tables import EPISODE_COLUMNS, to_columns
 
 _CONFIG = AgentConfig(learner="td3", hidden_sizes=(16, 16), batch_size=16, n_step=2)
 _HYPER = Hyper(warmup_steps=64, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
-_LOOP = LoopConfig(capacity=128, chunk=8)  # so small that a run fills it several times
+_LOOP = LoopConfig(capacity=128, chunk=8)
 _SPECS = [
     RunSpec(method, seed, hyper_for(method, _HYPER), episodes=8, snapshots=(3, 6))
     for seed in range(2)
@@ -122,7 +125,7 @@ def test_recorded_episodes_can_be_played_again(uninterrupted):
             total = 0.0
             for action in kept.actions:
                 answer = pool.step(np.array([Command.STEP]), action[None], resets)
-                    total += float(answer.reward[0])
+                total += float(answer.reward[0])
             row = finished.run.episodes[kept.episode - 1]
             assert total == row["return"]
             assert kept.column("control").any() == (row["interventions"] > 0)
