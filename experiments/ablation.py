@@ -30,7 +30,8 @@ from hitl_jax.figure_parts import paper_style, save
 from hitl_jax.files import ResultsError, write_text_atomic
 from hitl_jax.provenance import git_commit, short_commit
 from hitl_jax.results import Run, RunKey
-from hitl_jax.rollout import FinishedRun, Rollout, RunSpec, num_slots
+from hitl_jax.rollout import Rollout
+from hitl_jax.runs import FinishedRun, RunSpec, num_slots
 from hitl_jax.summary import summarise_run
 from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS, to_columns, to_table
 

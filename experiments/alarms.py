@@ -29,7 +29,7 @@ from hitl_jax.envs import make_pool
 from hitl_jax.evaluation import Evaluator, evaluate_policies
 from hitl_jax.files import ResultsError, write_text_atomic
 from hitl_jax.results import ResultsFolder, RunKey, sort_keys
-from hitl_jax.rollout import RunSpec, Snapshot
+from hitl_jax.runs import RunSpec, Snapshot
 
 NUM_BOUNDARIES = 61
 """From 0 to the greatest boundary that the runs could have."""

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from hitl_jax.config import AgentConfig, Hyper, validate_hyper
 from hitl_jax.human import HumanParams
-from hitl_jax.rollout import LoopConfig
+from hitl_jax.runs import LoopConfig
 
 _ROOT = pathlib.Path(__file__).parents[1]
 

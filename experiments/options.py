@@ -7,7 +7,7 @@ import tyro
 
 from hitl_jax.config import AgentConfig, Hyper, Method, require, validate_hyper
 from hitl_jax.envs import BACKENDS
-from hitl_jax.rollout import LoopConfig
+from hitl_jax.runs import LoopConfig
 
 
 @dataclasses.dataclass(frozen=True)

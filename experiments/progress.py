@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from hitl_jax.rollout import Run
+from hitl_jax.runs import Run
 
 _REFRESH_SECONDS = 1.0
 _LINE_SECONDS = 30.0

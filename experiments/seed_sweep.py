@@ -38,7 +38,8 @@ from hitl_jax.evaluation import milestones
 from hitl_jax.files import ResultsError
 from hitl_jax.provenance import git_commit, processor, versions
 from hitl_jax.results import ResultsFolder, RunKey
-from hitl_jax.rollout import Rollout, RunSpec, num_slots
+from hitl_jax.rollout import Rollout
+from hitl_jax.runs import RunSpec, num_slots
 from hitl_jax.saved import SavedRun
 from hitl_jax.saves import Saves
 from hitl_jax.summary import write_summary

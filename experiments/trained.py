@@ -8,7 +8,7 @@ from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.files import ResultsError
 from hitl_jax.human import HumanParams
 from hitl_jax.results import ResultsFolder, RunKey
-from hitl_jax.rollout import RunSpec, Snapshot
+from hitl_jax.runs import RunSpec, Snapshot
 from hitl_jax.types import Behavior
 
 

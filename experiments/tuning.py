@@ -24,7 +24,8 @@ from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require
 from hitl_jax.envs import make_pool
 from hitl_jax.evaluation import Evaluator, evaluate_run
 from hitl_jax.provenance import git_commit, short_commit
-from hitl_jax.rollout import LoopConfig, Rollout, Run, RunSpec, num_slots
+from hitl_jax.rollout import Rollout
+from hitl_jax.runs import LoopConfig, Run, RunSpec, num_slots
 
 _BASE: Changes = {
     "learner": "td3",

@@ -15,14 +15,7 @@ from hitl_jax.config import RunHyper
 from hitl_jax.devices import acting_device
 from hitl_jax.envs import Command, WalkerPool
 from hitl_jax.episodes import EpisodeCounter, Row, Step
-from hitl_jax.rollout import (
-    FinishedRun,
-    Run,
-    RunSpec,
-    Snapshot,
-    episode_seed,
-    method_index,
-)
+from hitl_jax.runs import FinishedRun, Run, RunSpec, Snapshot, episode_seed, method_index
 from hitl_jax.types import Behavior
 
 Mode = Literal["autonomous", "assisted"]

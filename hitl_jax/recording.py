@@ -1,5 +1,6 @@
 """Episodes as they were played: with its reset seed, enough to play each again (host, NumPy)."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,35 +33,6 @@ class Recording(NamedTuple):
         return self.steps[:, STEP_COLUMNS.index(name) - len(STEP_COLUMNS)]
 
 
-class EpisodeLog:
-    """The steps so far of the episode that each walker is in."""
-
-    def __init__(self, num_walkers: int, action_size: int):
-        self.none = np.zeros((0, action_size + len(STEP_COLUMNS)), np.float32)
-        """No step: an array [0, A + 5]."""
-        self._steps = np.repeat(self.none[None], num_walkers, axis=0)
-        self._length = np.zeros(num_walkers, int)
-
-    def add(self, live: np.ndarray, steps: np.ndarray) -> None:
-        """Notes the steps [N, A + 5] of the walkers that take one, bool [N]."""
-        if self._length.max() >= self._steps.shape[1]:
-            self._steps = np.pad(self._steps, ((0, 0), (0, 256), (0, 0)))
-        walkers = np.flatnonzero(live)
-        self._steps[walkers, self._length[walkers]] = steps[walkers]
-        self._length[walkers] += 1
-
-    def begin(self, walker: int, steps: np.ndarray | None = None) -> None:
-        """Forgets a walker's episode; `steps` [T, A + 5] are those of the one it is in."""
-        self._length[walker] = 0
-        for step in () if steps is None else steps:
-            live = np.arange(len(self._length)) == walker
-            self.add(live, np.broadcast_to(step, (len(live), len(step))))
-
-    def of(self, walker: int) -> np.ndarray:
-        """A copy of a walker's steps, [T, A + 5]."""
-        return self._steps[walker, : self._length[walker]].copy()
-
-
 def names_of(episodes: list[dict[str, Any]], kept: dict[str, Recording]) -> list[str]:
     """As what the last of a run's episodes is to be recorded.
 
@@ -75,3 +47,22 @@ def names_of(episodes: list[dict[str, Any]], kept: dict[str, Recording]) -> list
     if BEST not in kept or last["return"] > episodes[kept[BEST].episode - 1]["return"]:
         names.append(BEST)
     return names
+
+
+def index(kept: Mapping[str, Recording]) -> dict[str, list[int]]:
+    """Number and length of each recorded episode, by name."""
+    return {name: [one.episode, len(one.steps)] for name, one in kept.items()}
+
+
+def join(kept: Mapping[str, Recording], width: int) -> np.ndarray:
+    """The steps of all recordings, one after the other, [T, W]; none if there are none."""
+    return np.concatenate([np.zeros((0, width), np.float32), *(one.steps for one in kept.values())])
+
+
+def split(numbers: Mapping[str, Sequence[int]], steps: np.ndarray) -> dict[str, Recording]:
+    """The recordings, from what `index` and `join` gave."""
+    kept, place = {}, 0
+    for name, (episode, length) in numbers.items():
+        kept[name] = Recording(episode, steps[place : place + length])
+        place += length
+    return kept

@@ -11,182 +11,38 @@ at once, and takes no more time. Nothing a run computes depends on its slot or o
 """
 
 import dataclasses
-import math
 import operator
 import time
-import zlib
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
 
-from hitl_jax import arbiter, batch
+from hitl_jax import arbiter, batch, recording
 from hitl_jax.agent import Agent, behavior
-from hitl_jax.config import Method, RunHyper, require, typed
+from hitl_jax.config import require, typed
 from hitl_jax.devices import acting_device, default_tile, learning_devices
 from hitl_jax.envs import Command, StepBatch, WalkerPool
+from hitl_jax.episode_log import EpisodeLog
 from hitl_jax.episodes import EpisodeCounter, Row, Step
-from hitl_jax.recording import STEP_COLUMNS, EpisodeLog, Recording, names_of
+from hitl_jax.recording import STEP_COLUMNS, Recording, names_of
+from hitl_jax.runs import (
+    FinishedRun,
+    LoopConfig,
+    Run,
+    RunName,
+    RunSpec,
+    Snapshot,
+    episode_seed,
+    method_index,
+)
 from hitl_jax.saved import CannotReturn, SavedRun, bring_back
 from hitl_jax.types import Behavior, Params
 
 LAG = 2
 """Calls of the learner that may be under way while the walkers play; see the module."""
-
-
-@dataclasses.dataclass(frozen=True)
-class LoopConfig:
-    """How much a run plays and learns.
-
-    Attributes:
-        capacity: frames in the replay of a run; rounded up to whole chunks.
-        chunk: ticks between two calls of the learner; a tick is an environment step, or the reset
-            after an episode. The boundary learner makes one update a call (the paper: one a step).
-        updates_per_step: updates of the task learner per tick.
-    """
-
-    capacity: int = 200_000
-    chunk: int = 16
-    updates_per_step: float = 0.5
-
-    def __post_init__(self) -> None:
-        """Checks every number; ValueError names the option, the value and what is allowed."""
-        require("chunk", self.chunk, at_least=1)
-        require("capacity", self.capacity, at_least=2 * self.chunk)
-        require("updates_per_step", self.updates_per_step, at_least=0.0)
-
-    @property
-    def frames(self) -> int:
-        """Capacity in whole chunks."""
-        return math.ceil(self.capacity / self.chunk) * self.chunk
-
-    def num_updates(self, policy_delay: int) -> int:
-        """Updates in one call of the learner.
-
-        Raises:
-            ValueError: if a chunk has no whole number of delayed actor updates.
-        """
-        updates = self.chunk * self.updates_per_step
-        if updates != round(updates) or round(updates) % policy_delay:
-            raise ValueError(
-                f"--updates-per-step {self.updates_per_step}: times --chunk {self.chunk} it must "
-                f"be a multiple of {policy_delay}, the learner's policy delay"
-            )
-        return round(updates)
-
-
-RunName = tuple[Method, int]
-"""Method and seed."""
-
-
-@dataclasses.dataclass(frozen=True)
-class RunSpec:
-    """A run is its method and seed; `hyper` is what the method makes of the options.
-
-    Attributes:
-        method: which method.
-        seed: which seed.
-        hyper: hyperparameters, host scalars.
-        episodes: training episodes after which the run is done.
-        snapshots: rising numbers of training episodes at which a `Snapshot` is kept.
-    """
-
-    method: Method
-    seed: int
-    hyper: RunHyper
-    episodes: int
-    snapshots: tuple[int, ...] = ()
-
-    @property
-    def name(self) -> RunName:
-        """Method and seed."""
-        return self.method, self.seed
-
-
-class Snapshot(NamedTuple):
-    """What would be tested if a run ended at one point of its training.
-
-    Attributes:
-        episode: training episodes that the run would have had; it is taken at the end of the chunk
-            in which the last of them ends.
-        behavior: parameters, as NumPy arrays.
-        boundary: the boundary source's carry, [] or [C].
-    """
-
-    episode: int
-    behavior: Behavior
-    boundary: np.ndarray
-
-
-@dataclasses.dataclass
-class Run:
-    """A run under way or done.
-
-    Attributes:
-        spec: which run.
-        slot: its column in the batch.
-        episodes: a row for each training episode that has ended.
-        ticks: ticks since it was seated.
-        env_steps: environment steps taken.
-        updates: updates of the task learner.
-        done: whether all episodes have ended.
-        snapshots: those that are due so far.
-        recordings: episodes to be played again, by name; see `hitl_jax.recording`.
-        started: when it was seated, on the monotonic clock [s].
-    """
-
-    spec: RunSpec
-    slot: int
-    episodes: list[Row] = dataclasses.field(default_factory=list)
-    ticks: int = 0
-    env_steps: int = 0
-    updates: int = 0
-    done: bool = False
-    snapshots: list[Snapshot] = dataclasses.field(default_factory=list)
-    recordings: dict[str, Recording] = dataclasses.field(default_factory=dict)
-    started: float = dataclasses.field(default_factory=time.monotonic)
-
-
-@dataclasses.dataclass(frozen=True)
-class FinishedRun:
-    """What a run leaves behind.
-
-    Attributes:
-        run: its record.
-        train: its training state, as NumPy arrays.
-        boundary: the boundary source's carry, [] or [K].
-    """
-
-    run: Run
-    train: Params
-    boundary: np.ndarray
-
-
-def num_slots(num_runs: int, most: int) -> int:
-    """Slots for `num_runs` runs: a power of two, or `most`, rounded up to fill every device.
-
-    Few sizes, so that programs compiled for one number of runs serve others. An empty slot costs
-    memory and a little acting, no learning.
-
-    Args:
-        num_runs: how many runs there are, at least 1.
-        most: how many are wanted at a time, at least 1.
-    """
-    devices = len(learning_devices())
-    power = 2 ** math.ceil(math.log2(num_runs))
-    return math.ceil(min(power, most) / devices) * devices
-
-
-def method_index(method: Method) -> int:
-    """A number for a method that does not depend on which methods run."""
-    return list(Method).index(method)
-
-
-def episode_seed(*parts: object) -> int:
-    """A reset seed from (method, seed, episode number), or any other words, 32 bits."""
-    return zlib.crc32("/".join(str(part) for part in parts).encode())
 
 
 class Rollout:
@@ -239,7 +95,8 @@ class Rollout:
         self._saves = saved is not None
         self._saved = dict(saved or {})
         self._recent = [np.zeros((slots, 0, self._layout.width), np.float32)]
-        self._log = EpisodeLog(slots, pool.action_size)
+        self._step_width = pool.action_size + len(STEP_COLUMNS)
+        self._log = EpisodeLog(slots, self._step_width)
         longest = max((len(run.frames) for run in self._saved.values()), default=0)
         self._seats = [self._programs.begin_ring(seats, longest) for seats in self._seats]
         self._queue = deque(sorted(specs, key=lambda spec: spec.name not in self._saved))
@@ -312,9 +169,7 @@ class Rollout:
                     boundaries=np.array([kept.boundary for kept in run.snapshots]),
                     observation=self._observation[run.slot].copy(),
                     steps=self._log.of(run.slot),
-                    recordings=np.concatenate(
-                        [self._log.none, *(kept.steps for kept in run.recordings.values())]
-                    ),
+                    recordings=recording.join(run.recordings, self._step_width),
                     totals=totals,
                     alarms=alarms,
                     frames=recent[run.slot, max(recent.shape[1] - run.ticks, 0) :],
@@ -401,10 +256,7 @@ class Rollout:
         run.snapshots = [Snapshot(*one) for one in kept]
         self._counter.restore(slot, saved.totals, saved.alarms)
         self._log.begin(slot, saved.steps)
-        place = 0
-        for name, (episode, length) in facts["recordings"].items():
-            run.recordings[name] = Recording(episode, saved.recordings[place : place + length])
-            place += length
+        run.recordings = recording.split(facts["recordings"], saved.recordings)
         run.done = len(run.episodes) >= run.spec.episodes
         self._active[slot] = not run.done
         self._needs_reset[slot] = not facts["begun"]
@@ -562,9 +414,7 @@ def _facts(run: Run, begun: bool) -> dict[str, Any]:
         "updates": run.updates,
         "seconds": time.monotonic() - run.started,
         "begun": bool(begun),
-        "recordings": {
-            name: (kept.episode, len(kept.steps)) for name, kept in run.recordings.items()
-        },
+        "recordings": recording.index(run.recordings),
         "episodes": list(run.episodes),
     }
 

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hitl_jax.envs import Command, WalkerPool
+from hitl_jax.envs import WalkerPool
+from hitl_jax.episode_log import playback
 
 
 class SavedRun(NamedTuple):
@@ -73,18 +74,9 @@ def bring_back(
     """
     if not episodes:
         return
-    walkers = sorted(episodes)
-    action = np.zeros((pool.num_walkers, pool.action_size), np.float32)
-    command = np.full(pool.num_walkers, Command.IDLE, np.uint8)
-    command[walkers] = Command.RESET
-    observation = pool.step(command, action, seeds).observation
-    for step in range(max(len(actions) for actions in episodes.values())):
-        command[:] = Command.IDLE
-        for walker, actions in episodes.items():
-            if step < len(actions):
-                command[walker] = Command.STEP
-                action[walker] = actions[step]
+    for command, action in playback(pool.num_walkers, episodes):
         observation = pool.step(command, action, seeds).observation
+    walkers = sorted(episodes)
     changed = [w for w in walkers if not np.array_equal(observation[w], expected[w])]
     if changed:
         raise CannotReturn(

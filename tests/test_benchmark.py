@@ -17,7 +17,8 @@ from experiments.cli import run_main
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Method
 from hitl_jax.devices import cpu_device
-from hitl_jax.rollout import LoopConfig, Rollout
+from hitl_jax.rollout import Rollout
+from hitl_jax.runs import LoopConfig
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,8 @@ from toy import ToyPool
 from experiments.benchmarks.loop import specs_of
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Method
-from hitl_jax.rollout import LoopConfig, Rollout
+from hitl_jax.rollout import Rollout
+from hitl_jax.runs import LoopConfig
 import jax
 missed = []
 jax.monitoring.register_event_listener(

@@ -6,7 +6,7 @@ from toy import ToyPool
 from hitl_jax import agent as agents
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.evaluation import Evaluator, evaluate_run, evaluate_snapshots
-from hitl_jax.rollout import FinishedRun, Run, RunSpec, Snapshot
+from hitl_jax.runs import FinishedRun, Run, RunSpec, Snapshot
 
 _SEEDS = np.arange(5, dtype=np.uint32)
 

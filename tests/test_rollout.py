@@ -10,7 +10,8 @@ from experiments.benchmarks.timing import memory_mb
 from hitl_jax.agent import behavior, make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.devices import learning_devices
-from hitl_jax.rollout import LoopConfig, Rollout, RunSpec, episode_seed, num_slots
+from hitl_jax.rollout import Rollout
+from hitl_jax.runs import LoopConfig, RunSpec, episode_seed, num_slots
 
 _CONFIG = AgentConfig(learner="td3", hidden_sizes=(16, 16), batch_size=16, n_step=2)
 _HYPER = Hyper(warmup_steps=64, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)

@@ -14,7 +14,7 @@ from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.devices import default_tile, learning_devices
 from hitl_jax.keys import make_key
-from hitl_jax.rollout import LoopConfig, num_slots
+from hitl_jax.runs import LoopConfig, num_slots
 from hitl_jax.types import Params
 
 PRODUCT_SIZE = 2048

@@ -24,7 +24,8 @@ from experiments.benchmarks.timing import (
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs import StepBatch, WalkerPool, make_pool, num_cores
-from hitl_jax.rollout import LoopConfig, Rollout, RunSpec, num_slots
+from hitl_jax.rollout import Rollout
+from hitl_jax.runs import LoopConfig, RunSpec, num_slots
 
 COMPILED = "backend_compile_duration"
 """End of the name of the event that JAX reports for each program that XLA compiles."""

@@ -25,7 +25,8 @@ from experiments.benchmarks.timing import Row
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Method
 from hitl_jax.envs import WALKER, make_pool, num_cores
-from hitl_jax.rollout import LoopConfig, Rollout, num_slots
+from hitl_jax.rollout import Rollout
+from hitl_jax.runs import LoopConfig, num_slots
 
 RUNS = 30
 TOGETHER = 16

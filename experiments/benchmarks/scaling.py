@@ -20,7 +20,8 @@ from experiments.compile_cache import keep_programs
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Method
 from hitl_jax.envs import make_pool
-from hitl_jax.rollout import LoopConfig, Rollout, num_slots
+from hitl_jax.rollout import Rollout
+from hitl_jax.runs import LoopConfig, num_slots
 
 NUM_RUNS = (1, 3, 10, 30, 100)
 SLOTS = 128

@@ -76,7 +76,7 @@ class WalkerPool(Protocol):
         """Waits for the end of the tick.
 
         Raises:
-            WalkerError: if a worker raised or died; the pool is closed then.
+            WalkerError: if a worker raised, or was killed again and again; the pool is closed then.
             RuntimeError: if no tick was sent.
         """
         ...

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import logging
 import os
 import select
 import signal
@@ -13,11 +14,16 @@ from typing import IO, NoReturn
 
 import numpy as np
 
-from hitl_jax.envs.base import CheckedPool, StepBatch, WalkerError
+from hitl_jax.envs.base import CheckedPool, Command, StepBatch, WalkerError
 from hitl_jax.envs.shared import SIZES, map_arrays, num_bytes
+from hitl_jax.episode_log import EpisodeLog, playback
 
 _CLOSE_SECONDS = 5.0
 _LOG_BYTES = 8192
+_ATTEMPTS = 3
+"""To play a tick in which a worker was killed; a walker that kills its worker would do it again."""
+
+_logger = logging.getLogger(__name__)
 
 # A walker is one thread; a worker's BLAS must not start more and take the learner's cores.
 _WORKER_ENVIRONMENT = {
@@ -27,6 +33,10 @@ _WORKER_ENVIRONMENT = {
     "PYGAME_HIDE_SUPPORT_PROMPT": "1",
     "SDL_VIDEODRIVER": "dummy",
 }
+
+
+class _Killed(WalkerError):
+    """A worker was killed by a signal: nothing says that it would happen again."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,7 +77,8 @@ class WorkerPool(CheckedPool):
 
     An episode is a function of its seed and actions alone: neither W, nor the walker's place, nor
     its earlier episodes matter. It equals, bit for bit, the first episode of a new
-    `gymnasium.make(env_id)` after `reset(seed=seed)`.
+    `gymnasium.make(env_id)` after `reset(seed=seed)`. So a worker that was killed is started again,
+    its walkers are brought back by playing their episodes again, and the caller sees no difference.
     """
 
     seedable = True
@@ -92,31 +103,21 @@ class WorkerPool(CheckedPool):
         Raises:
             WalkerError: if a worker fails or takes longer.
         """
+        self._names = (backend, env_id)
+        self._numbers = (num_walkers, num_workers)
+        self._start_seconds = start_seconds
         self._workers: list[_Worker] = []
-        self._poll = select.poll()
-        memory = _anonymous_file()
+        self._memory = _anonymous_file()
         try:
-            # From the last to the first, since each gets the end of the pipe that wakes the next.
-            # Were we to wake them all, the first could take our core before we reach the second.
-            for index in reversed(range(num_workers)):
-                following = self._workers[0].process.stdin if self._workers else None
-                self._workers.insert(
-                    0, _launch(backend, env_id, memory, num_walkers, index, num_workers, following)
-                )
-                if following is not None:
-                    following.close()
-            for worker in self._workers:
-                self._poll.register(worker.reply, select.POLLIN)
-            answers = self._replies(SIZES.size, time.monotonic() + start_seconds)
-            observation_size, action_size = SIZES.unpack(answers)
-            os.ftruncate(memory, num_bytes(num_walkers, observation_size, action_size))
-            self._arrays = map_arrays(memory, num_walkers, observation_size, action_size)
+            sizes = self._launch_all()
+            os.ftruncate(self._memory, num_bytes(num_walkers, *sizes))
+            self._arrays = map_arrays(self._memory, num_walkers, *sizes)
         except BaseException:
             self._shutdown()
             raise
-        finally:
-            os.close(memory)
-        super().__init__(num_walkers, observation_size, action_size)
+        super().__init__(num_walkers, *sizes)
+        self._log = EpisodeLog(num_walkers, self.action_size)
+        self._seeds = np.zeros(num_walkers, np.uint32)
 
     @property
     def process_ids(self) -> list[int]:
@@ -137,18 +138,69 @@ class WorkerPool(CheckedPool):
             os.write(first.fileno(), b".")
 
     def _finish(self, command: np.ndarray) -> StepBatch:
+        arrays = self._arrays
         try:
-            self._replies(1)
+            try:
+                self._replies(1)
+            except _Killed as error:
+                self._repeat(error, command, arrays.action.copy(), arrays.seed.copy())
         except WalkerError:
             self.close()
             raise
-        arrays = self._arrays
+        for walker in np.flatnonzero(command == Command.RESET).tolist():
+            self._log.begin(walker)
+            self._seeds[walker] = arrays.seed[walker]
+        self._log.add(command == Command.STEP, arrays.action)
         return StepBatch(
             observation=arrays.observation.copy(),
             reward=arrays.reward.copy(),
             terminated=arrays.terminated.copy(),
             truncated=arrays.truncated.copy(),
         )
+
+    def _repeat(
+        self, error: WalkerError, command: np.ndarray, action: np.ndarray, seed: np.ndarray
+    ) -> None:
+        """Starts the workers again, brings the walkers back, and plays the tick once more.
+
+        All of them: which walkers a dead one's neighbours had stepped, and whom it had woken,
+        cannot be known.
+        """
+        for _ in range(_ATTEMPTS):
+            _logger.warning("%s; all are started again", error)
+            self._end_workers()
+            try:
+                self._launch_all()
+                walkers = np.flatnonzero(self._playing).tolist()
+                if walkers:
+                    episodes = {walker: self._log.of(walker) for walker in walkers}
+                    for commands, actions in playback(self.num_walkers, episodes):
+                        self._start(commands, actions, self._seeds)
+                        self._replies(1)
+                self._start(command, action, seed)
+                self._replies(1)
+            except _Killed as again:
+                error = again
+            else:
+                return
+        raise error
+
+    def _launch_all(self) -> tuple[int, int]:
+        """Starts all workers at once and waits until they are ready; O and A."""
+        num_walkers, num_workers = self._numbers
+        # From the last to the first, since each gets the end of the pipe that wakes the next.
+        # Were we to wake them all, the first could take our core before we reach the second.
+        for index in reversed(range(num_workers)):
+            following = self._workers[0].process.stdin if self._workers else None
+            worker = _launch(*self._names, self._memory, num_walkers, index, num_workers, following)
+            self._workers.insert(0, worker)
+            if following is not None:
+                following.close()
+        self._poll = select.poll()
+        for worker in self._workers:
+            self._poll.register(worker.reply, select.POLLIN)
+        answers = self._replies(SIZES.size, time.monotonic() + self._start_seconds)
+        return SIZES.unpack(answers)
 
     def _replies(self, size: int, deadline: float = float("inf")) -> bytes:
         """Sleeps until every worker has answered; the last answer.
@@ -184,18 +236,27 @@ class WorkerPool(CheckedPool):
     def _fail(self, worker: _Worker) -> NoReturn:
         """Raises for a worker that ended by itself."""
         number = f"{worker.index + 1} of {len(self._workers)}"
-        error = WalkerError(f"walker process {number} {worker.fate()}")
+        fate = worker.fate()
+        kind = (
+            _Killed if worker.process.returncode and worker.process.returncode < 0 else WalkerError
+        )
+        error = kind(f"walker process {number} {fate}")
         if log := worker.log_end():
             error.add_note(f"The end of its log:\n{log}")
         raise error
 
     def _shutdown(self) -> None:
+        self._end_workers(_CLOSE_SECONDS)
+        os.close(self._memory)
+
+    def _end_workers(self, seconds: float = 0.0) -> None:
+        """Tells the workers to end, and kills those that have not after so long."""
         for worker in self._workers:
             assert worker.process.stdin is not None
             worker.process.stdin.close()
         for worker in self._workers:
             try:
-                worker.process.wait(_CLOSE_SECONDS)
+                worker.process.wait(seconds)
             except subprocess.TimeoutExpired:
                 worker.process.kill()
                 worker.process.wait()
