@@ -23,6 +23,7 @@ from experiments.changes import Parts, changed
 from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
 from experiments.progress import Progress
+from experiments.signals import Interrupted
 from experiments.training import Plant, make_team, train_and_test
 from hitl_jax import stats
 from hitl_jax.config import Method, hyper_for, require
@@ -74,7 +75,7 @@ def main(options: AblationOptions) -> int:
         options: what to run.
 
     Returns:
-        The exit code: 0, or 130 after Ctrl-C.
+        The exit code: 0, 130 after Ctrl-C, or 143 after SIGTERM.
     """
     out = pathlib.Path(options.out)
     with checking_input():
@@ -88,13 +89,13 @@ def main(options: AblationOptions) -> int:
     code = 0
     try:
         _run(names, options, store)
-    except KeyboardInterrupt:
+    except Interrupted as stop:
         print(
             f"\nStopped. Finished runs are in {store.path}; the same command goes on with the "
             "others, from their beginning.",
             flush=True,
         )
-        code = 130
+        code = stop.exit_code
     for name in names:
         if text := write_ablation(name, options, store):
             print(text)

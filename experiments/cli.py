@@ -9,6 +9,9 @@ from typing import TypeVar
 
 import tyro
 
+from hitl_jax.envs import WalkerError
+from hitl_jax.files import ResultsError
+
 T = TypeVar("T")
 
 
@@ -17,7 +20,10 @@ class BadInput(Exception):
 
 
 def run_main(options: type[T], main: Callable[[T], int], args: Sequence[str] | None = None) -> int:
-    """Parses the command line and runs `main`; bad input is one line on stderr and exit code 2.
+    """Parses the command line and runs `main`.
+
+    Bad input is one line on stderr and exit code 2. So is, with exit code 1, what a disk or a
+    walker refuses in mid-work.
 
     Args:
         options: a dataclass of options.
@@ -29,6 +35,12 @@ def run_main(options: type[T], main: Callable[[T], int], args: Sequence[str] | N
     except BadInput as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except (ResultsError, WalkerError) as error:
+        print("\n".join([f"error: {error}", *getattr(error, "__notes__", [])]), file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("\nStopped at once.", file=sys.stderr)
+        return 130
 
 
 @contextlib.contextmanager

@@ -133,6 +133,8 @@ def _comparison(comparison: _Comparison, root: pathlib.Path) -> str:
         run.info.get("machine", "not recorded") for of in runs.values() for run in of
     )
     where = ", ".join(f"{machine} ({count} runs)" for machine, count in machines.items())
+    lost = [str(run.key) for of in runs.values() for run in of if run.diverged]
+    diverged = f"Diverged, counted as falling at once from there on: {', '.join(lost)}.\n\n"
     name = comparison.folder
     figures = "".join(
         f"![{text}]({name}/figures/{stem}.png)\n"
@@ -144,7 +146,7 @@ def _comparison(comparison: _Comparison, root: pathlib.Path) -> str:
         f"{config['test_episodes']} test episodes each, {steps:.1f} million environment steps of "
         f"training. Commit {made}; machine: {where}. Options, versions, time and cost of every run "
         f"are in `{name}`, its tables in [{name}/summary.md]({name}/summary.md).\n\n"
-        f"{_claims(claims)}\n{figures}"
+        f"{diverged if lost else ''}{_claims(claims)}\n{figures}"
     )
 
 

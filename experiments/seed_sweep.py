@@ -20,14 +20,8 @@ from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
 from experiments.options import SweepOptions
 from experiments.progress import Progress
-from experiments.training import (
-    Interrupted,
-    Plant,
-    Tested,
-    make_team,
-    policy_digest,
-    train_and_test,
-)
+from experiments.signals import Interrupted
+from experiments.training import Plant, Tested, make_team, policy_digest, train_and_test
 from hitl_jax import checkpoint, figures, stats
 from hitl_jax.agent import Agent
 from hitl_jax.config import Method, hyper_for
@@ -35,7 +29,7 @@ from hitl_jax.devices import learning_devices
 from hitl_jax.envs import make_pool, num_cores
 from hitl_jax.episodes import ALARM_WINDOW
 from hitl_jax.evaluation import milestones
-from hitl_jax.files import ResultsError
+from hitl_jax.files import ResultsError, locked
 from hitl_jax.provenance import git_commit, processor, versions
 from hitl_jax.results import ResultsFolder, RunKey
 from hitl_jax.rollout import Rollout
@@ -59,23 +53,34 @@ def main(options: SweepOptions) -> int:
         options: what to run.
 
     Returns:
-        The exit code: 0, or 130 after Ctrl-C.
+        The exit code: 0, 130 after Ctrl-C, or 143 after SIGTERM.
     """
-    with checking_input():
-        options = options.checked()
-        scale = options.scale()
-        agent = make_team(options.agent, options.human_policy)
-        folder = ResultsFolder(options.out)
-        config = _config(options)
-        if options.backend == "envpool":
-            make_pool("envpool", 1).close()  # a missing extra is noticed before the folder is made
-        command = shlex.join(["python", "-m", "experiments.seed_sweep", *sys.argv[1:]])
-        try:
-            changed = folder.create_or_resume(config, command)
-        except ResultsError as error:
-            raise BadInput(f"--out {error}") from error
-    if changed:
-        print(f"{options.out} was begun with other code: {', '.join(changed)}", flush=True)
+    with contextlib.ExitStack() as held:
+        with checking_input():
+            options = options.checked()
+            agent = make_team(options.agent, options.human_policy)
+            folder = ResultsFolder(options.out)
+            config = _config(options)
+            if options.backend == "envpool":
+                make_pool(
+                    "envpool", 1
+                ).close()  # a missing extra is noticed before a folder is made
+            command = shlex.join(["python", "-m", "experiments.seed_sweep", *sys.argv[1:]])
+            try:
+                held.enter_context(locked(folder.path))
+                changed = folder.create_or_resume(config, command)
+            except ResultsError as error:
+                raise BadInput(f"--out {error}") from error
+        if changed:
+            print(f"{options.out} was begun with other code: {', '.join(changed)}", flush=True)
+        return _sweep(options, agent, folder, config)
+
+
+def _sweep(
+    options: SweepOptions, agent: Agent, folder: ResultsFolder, config: dict[str, Any]
+) -> int:
+    """Makes the runs that the folder lacks, and draws; the exit code."""
+    scale = options.scale()
     seeds = range(options.first_seed, options.first_seed + scale.seeds)
     wanted = [
         RunSpec(
@@ -95,10 +100,9 @@ def main(options: SweepOptions) -> int:
     try:
         if specs:
             sweep.run()
-    except KeyboardInterrupt as stop:
+    except Interrupted as stop:
         sweep.stop_drawing()
-        if isinstance(stop, Interrupted):
-            sweep.save()
+        sweep.save()
         sweep.save_partial()
         _draw(folder)
         print(
@@ -106,7 +110,7 @@ def main(options: SweepOptions) -> int:
             "on where it was.",
             flush=True,
         )
-        return 130
+        return stop.exit_code
     for line in _draw(folder):
         print(line)
     return 0
@@ -220,6 +224,7 @@ class _Sweep:
             "wall_seconds": time.monotonic() - run.started,
             "env_steps": run.env_steps,
             "updates": run.updates,
+            "diverged": run.diverged and run.diverged._asdict(),
             **self._provenance,
         }
         key = RunKey(spec.method, spec.seed)
@@ -239,6 +244,7 @@ class _Sweep:
         self._progress.say(
             f"finished {spec.method} seed {spec.seed}: {run.env_steps:,} steps, "
             f"test return {np.mean(alone):.1f} over {len(alone)} episodes"
+            + (f"; diverged: {run.diverged}" if run.diverged else "")
         )
 
     def _draw_now_and_then(self) -> None:

@@ -1,12 +1,11 @@
 """Trains runs and tests each at its end: what a sweep and an ablation have in common."""
 
-import contextlib
 import hashlib
 import pathlib
-import signal
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import NamedTuple
 
+from experiments.signals import deferred_interrupts
 from hitl_jax import checkpoint, human_actions
 from hitl_jax.agent import Agent, make_agent
 from hitl_jax.config import AgentConfig, Method
@@ -94,8 +93,9 @@ def train_and_test(
         saved: runs to go on with; None also says that `watch` saves none.
 
     Raises:
-        Interrupted: after Ctrl-C, when the chunk, or the test, under way has ended.
-        KeyboardInterrupt: after a second one, at once.
+        Interrupted: after Ctrl-C or SIGTERM, when the chunk, or the step of a test, under way has
+            ended; the rollout that `watch` has seen can be saved.
+        KeyboardInterrupt: after a second Ctrl-C, at once.
     """
 
     def pool_of(phase: str, walkers: int) -> WalkerPool:
@@ -107,15 +107,16 @@ def train_and_test(
     with (
         pool_of("train", plant.slots) as pool,
         pool_of("test", plant.test_episodes) as test_pool,
-        _deferred_interrupt() as interrupted,
+        deferred_interrupts() as interrupted,
     ):
         evaluator = Evaluator(agent, test_pool)
         rollout = Rollout(agent, specs, pool, loop, saved=saved)
         for done in rollout:
             for finished in done:
-                tests = evaluate_run(evaluator, finished, _modes(finished.run.spec.method))
-                yield Tested(finished, tests, evaluate_snapshots(evaluator, finished.run))
-                interrupted()
+                modes = _modes(finished.run.spec.method)
+                tests = evaluate_run(evaluator, finished, modes, lambda *_: interrupted())
+                progress = evaluate_snapshots(evaluator, finished.run, lambda *_: interrupted())
+                yield Tested(finished, tests, progress)
             watch(rollout)
             interrupted()
 
@@ -124,31 +125,3 @@ def _modes(method: Method) -> tuple[Mode, ...]:
     if method is Method.SRL:
         return ("autonomous",)  # without an arbiter nobody can be asked
     return ("autonomous", "assisted")
-
-
-class Interrupted(KeyboardInterrupt):
-    """Ctrl-C, noticed between two chunks: the runs can be saved."""
-
-
-@contextlib.contextmanager
-def _deferred_interrupt() -> Iterator[Callable[[], None]]:
-    """Gives a function that raises Interrupted after Ctrl-C; a second one stops at once.
-
-    Raised at any instant, KeyboardInterrupt could land where Python drops it.
-    """
-    noted = False
-
-    def note(*_: object) -> None:
-        nonlocal noted
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        noted = True
-
-    def stop_if_noted() -> None:
-        if noted:
-            raise Interrupted
-
-    previous = signal.signal(signal.SIGINT, note)
-    try:
-        yield stop_if_noted
-    finally:
-        signal.signal(signal.SIGINT, previous)

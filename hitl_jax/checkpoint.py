@@ -4,6 +4,7 @@ import os
 import zipfile
 from collections.abc import Mapping
 
+import jax
 import numpy as np
 from flax import traverse_util
 
@@ -49,7 +50,8 @@ def load_actor(path: str | os.PathLike[str], observation_size: int, action_size:
         Parameters of an `Actor`; `hidden_sizes` gives its widths.
 
     Raises:
-        ValueError: one line, if the file is missing, no checkpoint, or of another walker.
+        ValueError: one line, if the file is missing, no checkpoint, not finite, or of another
+            walker.
     """
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
@@ -68,6 +70,8 @@ def load_actor(path: str | os.PathLike[str], observation_size: int, action_size:
             f"--human-policy {path}: has {has[0]} observations and {has[1]} actions, "
             f"the walker has {observation_size} and {action_size}"
         )
+    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(actor)):
+        raise ValueError(f"--human-policy {path}: its actor holds numbers that are not finite")
     return actor
 
 

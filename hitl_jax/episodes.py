@@ -59,6 +59,26 @@ _COUNTS = (
 )
 
 
+def fall_at_once() -> Row:
+    """The row of an episode that could not be played since the numbers were not finite.
+
+    It counts against the method as the worst that a walker can do: a fall in the first step.
+    """
+    counts = dict.fromkeys(("interventions", "human_steps", "alarms", "true_alarms"), 0)
+    unknown = dict.fromkeys(("mean_boundary", "final_boundary", "lead_steps"), float("nan"))
+    return {
+        "return": FALL_REWARD,
+        "shaped_return": FALL_REWARD,
+        "length": 1,
+        "fall": 1,
+        "end": "fall",
+        "false_alarms": 0,
+        "alarms_before_fall": 0,
+        **counts,
+        **unknown,
+    }
+
+
 class EpisodeCounter:
     """Running totals of the episode that each walker is in."""
 

@@ -14,7 +14,7 @@ from hitl_jax.agent import Agent, behavior
 from hitl_jax.config import RunHyper
 from hitl_jax.devices import acting_device
 from hitl_jax.envs import Command, WalkerPool
-from hitl_jax.episodes import EpisodeCounter, Row, Step
+from hitl_jax.episodes import EpisodeCounter, Row, Step, fall_at_once
 from hitl_jax.runs import FinishedRun, Run, RunSpec, Snapshot, episode_seed, method_index
 from hitl_jax.types import Behavior
 
@@ -146,7 +146,12 @@ class Evaluator:
         return jax.vmap(policies, in_axes=(0, None))(boundary, episodes)
 
 
-def evaluate_run(evaluator: Evaluator, finished: FinishedRun, modes: Sequence[Mode]) -> list[Row]:
+def evaluate_run(
+    evaluator: Evaluator,
+    finished: FinishedRun,
+    modes: Sequence[Mode],
+    watch: Watch | None = None,
+) -> list[Row]:
     """Tests a run as training left it.
 
     The terrain depends on the seed alone: a comparison that is paired over methods needs fewer
@@ -156,16 +161,19 @@ def evaluate_run(evaluator: Evaluator, finished: FinishedRun, modes: Sequence[Mo
         evaluator: plays an episode on each of its walkers.
         finished: the run.
         modes: which tests, in this order.
+        watch: sees every step.
 
     Returns:
         A row for each mode and episode.
     """
     last = Snapshot(finished.run.spec.episodes, behavior(finished.train), finished.boundary)
     spec = finished.run.spec
-    return [row for mode in modes for row in evaluate_policies(evaluator, mode, spec, [last])]
+    return [
+        row for mode in modes for row in evaluate_policies(evaluator, mode, spec, [last], watch)
+    ]
 
 
-def evaluate_snapshots(evaluator: Evaluator, run: Run) -> list[Row]:
+def evaluate_snapshots(evaluator: Evaluator, run: Run, watch: Watch | None = None) -> list[Row]:
     """Tests a run, alone, as it was at its snapshots; they share the evaluator's walkers.
 
     Of N walkers each of K snapshots gets ⌊N / K⌋, on the first terrains of the test at the end;
@@ -174,6 +182,7 @@ def evaluate_snapshots(evaluator: Evaluator, run: Run) -> list[Row]:
     Args:
         evaluator: plays an episode on each of its walkers.
         run: with the snapshots.
+        watch: sees every step.
 
     Returns:
         A row for each snapshot and episode, with the number of training episodes as `trained`.
@@ -181,7 +190,7 @@ def evaluate_snapshots(evaluator: Evaluator, run: Run) -> list[Row]:
     rows = []
     for first in range(0, len(run.snapshots), evaluator.num_episodes):
         group = run.snapshots[first : first + evaluator.num_episodes]
-        played = evaluate_policies(evaluator, "autonomous", run.spec, group)
+        played = evaluate_policies(evaluator, "autonomous", run.spec, group, watch)
         each = len(played) // len(group)
         rows += [{"trained": group[n // each].episode, **row} for n, row in enumerate(played)]
     return rows
@@ -196,6 +205,8 @@ def evaluate_policies(
 ) -> list[Row]:
     """One test of some of a run's policies, each on the same terrains.
 
+    A policy of numbers that are not finite cannot act: its rows are `fall_at_once`.
+
     Args:
         evaluator: its walkers are shared out among the policies.
         mode: `autonomous` or `assisted`.
@@ -207,13 +218,22 @@ def evaluate_policies(
         A row for each policy and episode.
     """
     *_, key = batch.run_keys(spec.seed, method_index(spec.method))
-    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *policies)
+    able = [_is_finite(policy) for policy in policies]
+    stacked = jax.tree.map(lambda *leaves: np.nan_to_num(np.stack(leaves)), *policies)
     numbers = range(evaluator.num_episodes // len(policies))
     seeds = np.array([episode_seed("test", spec.seed, number) for number in numbers], np.uint32)
     everywhere = np.tile(seeds, (len(policies), 1))
-    return evaluator.evaluate(
+    rows = evaluator.evaluate(
         mode, spec.hyper, stacked.behavior, stacked.boundary, key, everywhere, watch
     )
+    return [
+        row if able[place // len(seeds)] else row | fall_at_once() for place, row in enumerate(rows)
+    ]
+
+
+def _is_finite(policy: Snapshot) -> bool:
+    leaves = jax.tree.leaves((policy.behavior, policy.boundary))
+    return all(np.isfinite(leaf).all() for leaf in leaves)
 
 
 def frozen(hyper: RunHyper, human_present: bool) -> RunHyper:

@@ -6,14 +6,21 @@ them. A final name has one writer at a time.
 """
 
 import contextlib
+import fcntl
 import os
 import pathlib
+import platform
 import shutil
+import time
 import zipfile
 from collections.abc import Iterator, Mapping
+from typing import TextIO
 
 TEMPORARY = ".tmp-"
 """How temporary names begin."""
+
+LOCK = ".lock"
+"""Name of the file that a folder's one writer holds."""
 
 
 class ResultsError(ValueError):
@@ -66,6 +73,52 @@ def write_folder_atomic(path: pathlib.Path, contents: Mapping[str, bytes]) -> No
             shutil.rmtree(temporary, ignore_errors=True)
             raise
         _sync_folder(path.parent)
+
+
+@contextlib.contextmanager
+def locked(folder: pathlib.Path) -> Iterator[None]:
+    """Keeps a folder for this process alone; makes it if it is not there.
+
+    The lock is the operating system's (`flock`): it ends with the process, however that ends, so
+    the file `LOCK` that a killed process leaves behind keeps nobody out. It says who is at work.
+
+    Raises:
+        ResultsError: if another process has the folder, naming it; or if the folder refuses.
+    """
+    path = folder / LOCK
+    with named_errors(folder):
+        if folder.exists() and not folder.is_dir():
+            raise ResultsError(f"{folder}: is a file, not a folder")
+        folder.mkdir(parents=True, exist_ok=True)
+        file = _open_lock(path)
+    with file:
+        file.truncate()
+        since = time.strftime("%Y-%m-%d %H:%M:%S")
+        file.write(f"process {os.getpid()} on {platform.node()} since {since}")
+        file.flush()
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def _open_lock(path: pathlib.Path) -> TextIO:
+    while True:
+        file = open(path, "a+")  # noqa: SIM115, the caller closes it
+        file.seek(0)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            with file:
+                owner = file.readline() or "another process"
+            raise ResultsError(f"{path.parent}: is in use by {owner}") from None
+        except BaseException:
+            file.close()
+            raise
+        # Its owner may have removed the file between our two calls; then it locks nothing.
+        if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
+            return file
+        file.close()
 
 
 def remove_leftovers(folder: pathlib.Path) -> None:

@@ -13,8 +13,8 @@
     OUT/summary.csv, OUT/summary.md, OUT/figures/
 
 Everything is written atomically (`hitl_jax.files`), so a file or a run that is there is whole,
-whenever the process is killed. A folder has one writer at a time and any number of readers. Nothing
-here imports jax.
+whenever the process is killed. A folder has one writer at a time (`hitl_jax.files.locked`) and any
+number of readers. Nothing here imports jax.
 """
 
 import dataclasses
@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 
 from hitl_jax.files import (
+    LOCK,
     TEMPORARY,
     ResultsError,
     named_errors,
@@ -102,6 +103,11 @@ class Run:
     tests: Table
     progress: Table = dataclasses.field(default_factory=lambda: to_table(_NONE, PROGRESS_COLUMNS))
 
+    @property
+    def diverged(self) -> bool:
+        """Whether its numbers turned not finite; what it could not play counts as falls."""
+        return self.info.get("status") == "diverged"
+
 
 class ResultsFolder:
     """One folder of results. Making the object touches nothing on the disk.
@@ -142,7 +148,8 @@ class ResultsFolder:
                 _compare(self.path, self.load_config(), config)
                 remove_leftovers(self.path)
                 return _changes(_read_json(self.path / "config.json", ()), provenance)
-            foreign = [p.name for p in self.path.iterdir() if not p.name.startswith(TEMPORARY)]
+            ours = (TEMPORARY, LOCK)
+            foreign = [p.name for p in self.path.iterdir() if not p.name.startswith(ours)]
             if foreign:
                 raise ResultsError(
                     f"{self.path}: holds other files ({min(foreign)}) and no config.json; "
@@ -181,7 +188,8 @@ class ResultsFolder:
             episodes: training episodes, columns `EPISODE_COLUMNS`, each [T].
             tests: test episodes, columns `TEST_COLUMNS`, each [N]; N may be 0.
             params: arrays by flat name, for example "actor/params/Dense_0/kernel".
-            info: what `RUN_INFO` lists, and whatever else JSON can hold.
+            info: what `RUN_INFO` lists, and whatever else JSON can hold; `diverged` says where the
+                run's numbers turned not finite, if they did.
             progress: test episodes at earlier points of training, columns `PROGRESS_COLUMNS`.
             recordings: training episodes to be played again, by name.
 
@@ -198,7 +206,8 @@ class ResultsFolder:
         objects = [name for name, array in params.items() if np.asarray(array).dtype.hasobject]
         if objects:
             raise ValueError(f"parameter {objects[0]!r} is not an array of numbers")
-        head = {"format": FORMAT, "method": key.method, "seed": key.seed, "status": "finished"}
+        status = "diverged" if info.get("diverged") else "finished"
+        head = {"format": FORMAT, "method": key.method, "seed": key.seed, "status": status}
         document = head | info | head  # `head` comes first, and `info` cannot change it
         recorded = {
             f"{name}/{field}": getattr(kept, field)

@@ -17,6 +17,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import chex
 import jax
 import numpy as np
 
@@ -26,9 +27,10 @@ from hitl_jax.config import require, typed
 from hitl_jax.devices import acting_device, default_tile, learning_devices
 from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.episode_log import EpisodeLog
-from hitl_jax.episodes import EpisodeCounter, Row, Step
+from hitl_jax.episodes import EpisodeCounter, Row, Step, fall_at_once
 from hitl_jax.recording import STEP_COLUMNS, Recording, names_of
 from hitl_jax.runs import (
+    Divergence,
     FinishedRun,
     LoopConfig,
     Run,
@@ -124,7 +126,8 @@ class Rollout:
             yield [self.collect(run) for run in ended]
             self._replace(ended)
         while self._active.any():
-            self._behavior = self._to_acting(self._learned.popleft())  # Waits for the learner.
+            self._behavior = self._to_acting(self._learned.popleft())
+            self._stop_diverged("parameters", _finite_rows(*jax.tree.leaves(self._behavior)))
             frames = self._play()
             for run in self.runs():
                 self._keep_snapshots(run)
@@ -251,6 +254,7 @@ class Rollout:
             facts[name] for name in ("ticks", "env_steps", "updates")
         )
         run.started -= facts["seconds"]
+        run.diverged = Divergence(*facts["diverged"]) if facts["diverged"] else None
         due = run.spec.snapshots[: len(saved.snapshots)]
         kept = zip(due, self._behaviors(saved.snapshots), saved.boundaries, strict=True)
         run.snapshots = [Snapshot(*one) for one in kept]
@@ -312,9 +316,15 @@ class Rollout:
                 self._acting, self._behavior, self._observation, live
             )
             decided = np.asarray(packed)
+            for name in ("observation", "action", "boundary"):
+                part = decided[:, getattr(self._layout, name)]
+                self._stop_diverged(name, _finite_rows(part) | ~live)
+            live &= self._active
             command = np.where(live, Command.STEP, Command.IDLE).astype(np.uint8)
             command[self._active & self._needs_reset] = Command.RESET
             answer = self._pool.step(command, decided[:, self._layout.action], self._seeds)
+            self._stop_diverged("reward", np.isfinite(answer.reward) | ~live)
+            live &= self._active
             frames[:, tick] = decided[:, : self._layout.width]
             self._record(live, decided, answer, frames[:, tick])
             self._observation = answer.observation
@@ -369,7 +379,7 @@ class Rollout:
         assert run is not None
         run.env_steps += row["length"]
         run.episodes.append({"episode": len(run.episodes) + 1, "env_steps": run.env_steps, **row})
-        for name in names_of(run.episodes, run.recordings):
+        for name in names_of(run.episodes, run.recordings) if run.diverged is None else ():
             run.recordings[name] = Recording(len(run.episodes), self._log.of(slot))
         self._needs_reset[slot] = True
         self._log.begin(slot)
@@ -377,6 +387,15 @@ class Rollout:
         if len(run.episodes) == run.spec.episodes:
             run.done = True
             self._active[slot] = False
+
+    def _stop_diverged(self, quantity: str, finite: np.ndarray) -> None:
+        """Ends the runs that are active and of which something is not finite, bool [R]."""
+        for slot in np.flatnonzero(self._active & ~finite):
+            run = self._runs[slot]
+            assert run is not None
+            run.diverged = Divergence(quantity, run.env_steps, len(run.episodes))
+            while not run.done:
+                self._end_episode(int(slot), fall_at_once())
 
     def _learn(self, frames: np.ndarray) -> None:
         """Starts the learner on a chunk; does not wait for it."""
@@ -404,6 +423,12 @@ class Rollout:
         return self._programs.unpack_behavior(jax.device_put(packed, self._acting_device))
 
 
+def _finite_rows(*arrays: chex.Array) -> np.ndarray:
+    """Whether all that arrays [R, ...] hold of a run is finite, bool [R]."""
+    rows = [np.isfinite(np.asarray(array)).reshape(len(array), -1) for array in arrays]
+    return np.all([row.all(axis=1) for row in rows], axis=0)
+
+
 def _facts(run: Run, begun: bool) -> dict[str, Any]:
     """What JSON can hold of a run; `begun` says whether an episode is under way."""
     return {
@@ -414,6 +439,7 @@ def _facts(run: Run, begun: bool) -> dict[str, Any]:
         "updates": run.updates,
         "seconds": time.monotonic() - run.started,
         "begun": bool(begun),
+        "diverged": run.diverged,
         "recordings": recording.index(run.recordings),
         "episodes": list(run.episodes),
     }

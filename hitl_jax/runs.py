@@ -99,6 +99,24 @@ class Snapshot(NamedTuple):
     boundary: np.ndarray
 
 
+class Divergence(NamedTuple):
+    """Where a run's numbers turned not finite; it ended there.
+
+    Attributes:
+        quantity: what was seen first: `parameters`, `observation`, `action`, `reward`, ...
+        env_steps: environment steps taken until then.
+        episodes: training episodes that had ended by then. Those that were not played are in the
+            run's rows as `fall_at_once`.
+    """
+
+    quantity: str
+    env_steps: int
+    episodes: int
+
+    def __str__(self) -> str:
+        return f"{self.quantity} not finite after {self.env_steps:,} steps"
+
+
 @dataclasses.dataclass
 class Run:
     """A run under way or done.
@@ -113,6 +131,7 @@ class Run:
         done: whether all episodes have ended.
         snapshots: those that are due so far.
         recordings: episodes to be played again, by name; see `hitl_jax.recording`.
+        diverged: where its numbers turned not finite, if they did.
         started: when it was seated, on the monotonic clock [s].
     """
 
@@ -125,6 +144,7 @@ class Run:
     done: bool = False
     snapshots: list[Snapshot] = dataclasses.field(default_factory=list)
     recordings: dict[str, Recording] = dataclasses.field(default_factory=dict)
+    diverged: Divergence | None = None
     started: float = dataclasses.field(default_factory=time.monotonic)
 
 

@@ -50,6 +50,7 @@ SUMMARY_COLUMNS = (
     "alarm_lead_steps",
     "alarm_lead_seconds",
     "final_boundary",
+    "diverged",
     "wall_seconds",
 )
 
@@ -162,6 +163,7 @@ def summarise_run(run: Run) -> Row:
             episodes["true_alarms"], episodes["true_alarms"] + episodes["false_alarms"]
         ),
         "final_boundary": _last(episodes["final_boundary"]),
+        "diverged": int(run.diverged),
         "wall_seconds": run.info["wall_seconds"],
     }
     for mark in THRESHOLDS:
@@ -193,7 +195,10 @@ def _report(rows: tuple[Row, ...], unfinished: Counter[str], rng: np.random.Gene
     methods = list(finished)
     lines = ["# Summary", ""]
     for m in finished | unfinished:
-        lines.append(f"- {m}: seeds finished {finished[m]}, under way {unfinished[m]}")
+        line = f"- {m}: seeds finished {finished[m]}, under way {unfinished[m]}"
+        if diverged := [str(row["seed"]) for row in rows if row["method"] == m and row["diverged"]]:
+            line += f"; diverged, counted as falling at once from there on: {', '.join(diverged)}"
+        lines.append(line)
     if not rows:
         return "\n".join([*lines, "", "No run has finished yet: nothing to summarise.", ""])
     lines += ["", _READING_GUIDE, ""]

@@ -10,6 +10,7 @@ from experiments.ablations.settings import ABLATIONS, Ablation, Setting
 from experiments.ablations.store import RunId, Store, digest
 from experiments.changes import changed
 from experiments.cli import run_main
+from experiments.signals import Interrupted
 from hitl_jax.config import Method
 from hitl_jax.files import ResultsError
 
@@ -83,7 +84,7 @@ def test_what_is_done_is_not_done_again(copied, capsys):
 
 def test_what_is_done_when_it_is_stopped_is_kept(copied, capsys, monkeypatch):
     def stopped(*_):
-        raise KeyboardInterrupt
+        raise Interrupted
 
     monkeypatch.setattr(ablation, "train_and_test", stopped)
     before = (copied / "runs.csv").read_text()

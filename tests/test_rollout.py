@@ -10,6 +10,8 @@ from experiments.benchmarks.timing import memory_mb
 from hitl_jax.agent import behavior, make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.devices import learning_devices
+from hitl_jax.envs import Command
+from hitl_jax.evaluation import Evaluator, evaluate_run, evaluate_snapshots
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import LoopConfig, RunSpec, episode_seed, num_slots
 
@@ -179,3 +181,63 @@ def test_there_are_few_numbers_of_slots():
     assert [num_slots(runs, 32) for runs in (1, 2, 3, 10, 30, 40)] == [2, 2, 4, 16, 32, 32]
     assert num_slots(30, 30) == 30
     assert num_slots(5, 1) == 2
+
+
+class BrokenPool(ToyPool):
+    """Gives walker 0, once, a number that is none."""
+
+    def __init__(self, num_walkers, field, tick):
+        super().__init__(num_walkers)
+        self._field, self._left = field, tick
+
+    def step(self, command, action, seed):
+        assert np.isfinite(action[command == Command.STEP]).all()
+        answer = super().step(command, action, seed)
+        self._left -= 1
+        if self._left == 0:
+            getattr(answer, self._field)[0] = np.nan
+        return answer
+
+
+def _play_with_one_lost(specs, pool, together):
+    """The run that diverged, when the others are as they are without it."""
+    rollout = Rollout(make_agent(_CONFIG), specs, pool, _LOOP, tile=2)
+    finished = {run.run.spec.name: run for done in rollout for run in done}
+    [lost] = [run for run in finished.values() if run.run.diverged]
+    assert len(finished) == len(together)
+    for name, run in finished.items():
+        if run is not lost:
+            _assert_same(run, together[name])
+    return lost
+
+
+def _assert_falls(rows):
+    assert {(row["return"], row["length"], row["end"]) for row in rows} == {(-100.0, 1, "fall")}
+
+
+def test_parameters_that_are_not_finite_end_a_run(together):
+    sick = _spec(Method.SRL, 7, actor_learning_rate=1e30, critic_learning_rate=1e30)
+    specs = [sick, *(_spec(method, seed) for method, seed in list(together)[1:])]
+    lost = _play_with_one_lost(specs, ToyPool(6), together)
+    assert lost.run.spec is sick
+    quantity, env_steps, episodes = lost.run.diverged
+    assert quantity == "parameters"
+    assert env_steps > _HYPER.warmup_steps
+    assert len(lost.run.episodes) == sick.episodes > episodes
+    _assert_falls(lost.run.episodes[episodes:])
+    # So do its tests, and those of its snapshots from there on.
+    evaluator = Evaluator(make_agent(_CONFIG), ToyPool(4))
+    _assert_falls(evaluate_run(evaluator, lost, ["autonomous", "assisted"]))
+    for row in evaluate_snapshots(evaluator, lost.run):
+        assert (row["length"] == 1) == (row["trained"] > episodes)
+
+
+@pytest.mark.parametrize("field", ["observation", "reward"])
+def test_a_plant_that_gives_no_number_ends_a_run(field, together):
+    specs = [_spec(method, seed) for method, seed in together]
+    lost = _play_with_one_lost(specs, BrokenPool(6, field, 100), together)
+    assert lost.run.spec is specs[0]
+    assert lost.run.diverged.quantity == field
+    rows = lost.run.episodes
+    assert repr(rows[:2]) == repr(together[lost.run.spec.name].run.episodes[:2])
+    _assert_falls(rows[lost.run.diverged.episodes :])

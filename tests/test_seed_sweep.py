@@ -12,17 +12,18 @@ import time
 import numpy as np
 import pytest
 
-from experiments import alarms
+from experiments import alarms, seed_sweep
 from experiments.cli import run_main
 from experiments.options import SweepOptions
 from experiments.seed_sweep import _Sweep, main
-from experiments.training import Interrupted
+from hitl_jax.evaluation import Evaluator
 from hitl_jax.results import ResultsFolder, RunKey
 from hitl_jax.tables import select
 
 _SMALL = [
     *("--seeds", "1", "--episodes", "3", "--test-episodes", "2", "--warmup-steps", "100"),
     *("--hidden-sizes", "16", "--batch-size", "16", "--capacity", "2000", "--learner", "td3"),
+    *("--slots", "2"),  # for one run as for three: the same programs
 ]
 
 
@@ -87,21 +88,31 @@ def test_a_second_start_skips_what_is_done_and_adds_seeds(swept, capsys):
     assert "finished" not in capsys.readouterr().out
 
 
-def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys):
-    watch, chunks = _Sweep._watch, itertools.count(1)
+def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys, monkeypatch):
+    watch, evaluate, chunks = _Sweep._watch, Evaluator.evaluate, itertools.count(1)
 
-    def stop(sweep, rollout):
-        watch(sweep, rollout)
+    def stop_in_training(sweep, rollout):
         if next(chunks) == 5:
-            raise Interrupted
+            os.kill(os.getpid(), signal.SIGTERM)
+        watch(sweep, rollout)
+
+    def stop_in_a_test(*arguments):
+        os.kill(os.getpid(), signal.SIGINT)
+        return evaluate(*arguments)
 
     out = tmp_path / "out"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_Sweep, "_watch", stop)
-        assert _run(out) == 130
-    assert list(out.glob("under_way/state-*.npz"))
+    monkeypatch.setattr(seed_sweep, "_draw", lambda _: [])
+    for owner, name, stop, code in (
+        (_Sweep, "_watch", stop_in_training, 143),
+        (Evaluator, "evaluate", stop_in_a_test, 130),
+    ):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(owner, name, stop)
+            assert _run(out) == code
+        assert list(out.glob("under_way/state-*.npz"))
+        assert not list(out.glob("runs/*/*"))
     assert _run(out) == 0
-    assert "3 runs go on where they were saved" in capsys.readouterr().out
+    assert "2 runs go on where they were saved" in capsys.readouterr().out
     assert not (out / "under_way").exists()
     for again in ResultsFolder(out).load_all():
         run = ResultsFolder(swept).load_run(again.key)

@@ -100,6 +100,7 @@ def test_the_measures_of_a_run_by_hand(folder):
         "alarm_lead_steps": 20.0,
         "alarm_lead_seconds": 0.4,
         "final_boundary": 0.5,
+        "diverged": 0,
         "wall_seconds": 7.0,
     }
 

@@ -42,7 +42,8 @@ _MEASURES = (
 _GUIDE = """\
 Means over seeds [bootstrap 95 % interval], and the interquartile mean of the autonomous test return
 after them. Every run has the same number of training episodes; a human who resets early makes them
-short, so steps differ. "–": no seed has the measure."""
+short, so steps differ. A diverged run counts as falling at once from there on. "–": no seed has the
+measure."""
 
 
 def to_markdown(title: str, budget: str, lines: list[Line], rng: np.random.Generator) -> str:
@@ -57,7 +58,9 @@ def to_markdown(title: str, budget: str, lines: list[Line], rng: np.random.Gener
     head = ["setting", "method", "seeds", *(name for _, name, _ in _MEASURES)]
     cells = [head, ["---"] * len(head)]
     for line in lines:
-        row = [line.label, line.method, str(len(line.runs))]
+        lost = sum(run["diverged"] for run in line.runs)
+        seeds = f"{len(line.runs)} ({lost:.0f} diverged)" if lost else str(len(line.runs))
+        row = [line.label, line.method, seeds]
         cells.append([*row, *(_cell(line, *measure, rng) for measure in _MEASURES)])
     table = "".join(f"| {' | '.join(row)} |\n" for row in cells)
     return f"# {title}\n\n{budget}\n\n{_GUIDE}\n\n{table}"
