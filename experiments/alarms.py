@@ -96,8 +96,9 @@ def _count(
     indicator = jax.jit(jax.vmap(agent.indicator))
     sizes: list[np.ndarray] = []
 
-    def watch(observation: np.ndarray, active: np.ndarray) -> None:
+    def watch(decided: np.ndarray, active: np.ndarray) -> None:
         del active  # the rows tell how long each episode was
+        observation = decided[:, agent.layout.observation]
         sizes.append(np.abs(np.asarray(indicator(observation))))
 
     rows = evaluate_policies(evaluator, "autonomous", spec, [end], watch)

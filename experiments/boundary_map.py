@@ -10,7 +10,6 @@ import dataclasses
 import pathlib
 import sys
 
-import jax
 import numpy as np
 import tyro
 from matplotlib.figure import Figure
@@ -18,7 +17,6 @@ from matplotlib.figure import Figure
 from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
 from experiments.trained import agent_of, load_trained
-from hitl_jax.acting import learned_boundary
 from hitl_jax.agent import Agent
 from hitl_jax.config import Method, require
 from hitl_jax.envs import make_pool
@@ -135,17 +133,13 @@ def draw(folder: ResultsFolder) -> list[pathlib.Path]:
 def _visits(agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunKey) -> np.ndarray:
     """Hull angle, angular velocity and boundary of every step of the tests, [T, 3]."""
     spec, end = load_trained(folder, key)
-
-    @jax.jit
-    def boundary(observation: jax.Array) -> jax.Array:
-        network = agent.network_boundary(spec.hyper, end.behavior.boundary_actor, observation)
-        return learned_boundary(agent, spec.hyper, end.boundary, network)
-
+    layout = agent.layout
     visited: list[np.ndarray] = []
 
-    def watch(observation: np.ndarray, active: np.ndarray) -> None:
-        state = observation[:, :2] * (1.0, _VELOCITY_UNIT)
-        visited.append(np.column_stack([state, np.asarray(boundary(observation))])[active])
+    def watch(decided: np.ndarray, active: np.ndarray) -> None:
+        angle, velocity = decided[active, layout.observation][:, :2].T
+        boundary = decided[active, layout.boundary]
+        visited.append(np.column_stack([angle, velocity * _VELOCITY_UNIT, boundary]))
 
     evaluate_policies(evaluator, "autonomous", spec, [end], watch)
     return np.concatenate(visited)

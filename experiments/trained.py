@@ -2,8 +2,9 @@
 
 from typing import Any
 
+from experiments.training import make_team, policy_digest
 from hitl_jax import checkpoint
-from hitl_jax.agent import Agent, make_agent
+from hitl_jax.agent import Agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.files import ResultsError
 from hitl_jax.human import HumanParams
@@ -12,18 +13,38 @@ from hitl_jax.runs import RunSpec, Snapshot
 from hitl_jax.types import Behavior
 
 
-def agent_of(folder: ResultsFolder) -> Agent:
-    """The team that was trained; the human's actions are the scripted walker's.
+def agent_of(folder: ResultsFolder, human_policy: str | None = None) -> Agent:
+    """The team that was trained.
+
+    Args:
+        folder: the results.
+        human_policy: the `params.npz` that gave the human's actions; None is the scripted walker.
 
     Raises:
         ResultsError: if the folder was not written by this program.
+        ValueError: if the file is no such checkpoint.
     """
     choices = _section(folder, "agent")
     lists = {name: tuple(value) for name, value in choices.items() if isinstance(value, list)}
     try:
-        return make_agent(AgentConfig(**choices | lists))
+        config = AgentConfig(**choices | lists)
     except (TypeError, ValueError) as error:
         raise ResultsError(f"{folder.path}: config.json: {error}") from error
+    return make_team(config, human_policy)
+
+
+def require_same_human(folder: ResultsFolder, human_policy: str | None) -> None:
+    """Refuses another source of the human's actions than the results were made with.
+
+    Raises:
+        ValueError: one line naming the option.
+    """
+    asked, has = policy_digest(human_policy), folder.load_config().get("human_policy")
+    if asked != has:
+        raise ValueError(
+            f"--human-policy {human_policy}: {folder.path} was made with "
+            f"{'the scripted walker' if has is None else f'a file of {has}'}"
+        )
 
 
 def load_trained(folder: ResultsFolder, key: RunKey) -> tuple[RunSpec, Snapshot]:

@@ -54,10 +54,18 @@ def make_team(config: AgentConfig, human_policy: str | None) -> Agent:
 
 
 def policy_digest(human_policy: str | None) -> str | None:
-    """What the file holds, for a record of what defines the numbers: not where it lies."""
+    """What the file holds, for a record of what defines the numbers: not where it lies.
+
+    Raises:
+        ValueError: one line, if it cannot be read.
+    """
     if human_policy is None:
         return None
-    return "sha256:" + hashlib.sha256(pathlib.Path(human_policy).read_bytes()).hexdigest()
+    try:
+        held = pathlib.Path(human_policy).read_bytes()
+    except OSError as error:
+        raise ValueError(f"--human-policy {human_policy}: {error.strerror}") from error
+    return "sha256:" + hashlib.sha256(held).hexdigest()
 
 
 class Tested(NamedTuple):

@@ -218,23 +218,6 @@ def _boundary(
     """τ_t (line 6): from the boundary source where it is learned, τ_0 where it is fixed."""
     noise = hyper.boundary_noise * jax.random.normal(key, ())
     network = agent.network_boundary(hyper, actor, observation) + noise
-    learned = learned_boundary(agent, hyper, state.boundary, network)
+    learned = boundary.get_source(agent.config.boundary_source).boundary(state.boundary, network)
+    learned = jnp.clip(learned, hyper.boundary_low, hyper.boundary_high)
     return jnp.where(hyper.learns_boundary > 0, learned, hyper.initial_boundary)
-
-
-def learned_boundary(
-    agent: Agent, hyper: RunHyper, carry: chex.Array, network: chex.Array
-) -> chex.Array:
-    """τ_t of the boundary source, within the run's bounds.
-
-    Args:
-        agent: the team.
-        hyper: the run's hyperparameters, scalars.
-        carry: the source's carry, [] or [C].
-        network: π_θ(s_t), [] or, for states, [...].
-
-    Returns:
-        Of the shape of `network`.
-    """
-    learned = boundary.get_source(agent.config.boundary_source).boundary(carry, network)
-    return jnp.clip(learned, hyper.boundary_low, hyper.boundary_high)

@@ -29,6 +29,7 @@ from hitl_jax.agent import Agent
 from hitl_jax.config import RunHyper, typed
 from hitl_jax.keys import make_key
 from hitl_jax.packing import pack, unpack
+from hitl_jax.recording import STEP_COLUMNS
 from hitl_jax.types import Behavior, TrainState
 
 EXTRA_COLUMNS = ("control", "began", "human_action", "human_reset", "alarmed", "dangerous")
@@ -261,6 +262,22 @@ def act_or_begin(
 def flags_of(decided: np.ndarray, layout: replay.Layout) -> dict[str, np.ndarray]:
     """The flags of `EXTRA_COLUMNS` by name, bool [R], from what acting gave, [R, W + 6]."""
     return dict(zip(EXTRA_COLUMNS, decided[:, layout.width :].T > 0.5, strict=True))
+
+
+def recorded_steps(
+    decided: np.ndarray, layout: replay.Layout, has_arbiter: np.ndarray
+) -> np.ndarray:
+    """What is recorded of a step (`hitl_jax.recording`), [R, A + 5].
+
+    Args:
+        decided: what acting gave, [R, W + 6].
+        layout: its columns.
+        has_arbiter: whether there is a boundary, bool [R].
+    """
+    flags = flags_of(decided, layout)
+    told = {"boundary": np.where(has_arbiter, decided[:, layout.boundary], np.nan), **flags}
+    columns = [told[name] for name in STEP_COLUMNS]
+    return np.column_stack([decided[:, layout.action], *columns]).astype(np.float32)
 
 
 def _act_packed(

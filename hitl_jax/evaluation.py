@@ -21,7 +21,8 @@ from hitl_jax.types import Behavior
 Mode = Literal["autonomous", "assisted"]
 
 Watch = Callable[[np.ndarray, np.ndarray], None]
-"""Called at each step of a test with s_t, [N, O], and which walkers take the step, bool [N]."""
+"""Called before each step of a test with what was decided, a frame and flags of `hitl_jax.batch`,
+[N, W + 6], and which walkers take the step, bool [N]."""
 
 _PARTS = 5
 
@@ -102,12 +103,12 @@ class Evaluator:
         command = np.where(active, Command.RESET, Command.IDLE).astype(np.uint8)
         observation = self._pool.step(command, action, resets).observation
         while active.any():
-            if watch is not None:
-                watch(observation, active)
             seen = observation[: seeds.size].reshape(*seeds.shape, -1)
             live = active[: seeds.size].reshape(seeds.shape)
             state, packed = self._act(hyper, params, state, seen, live)
             decided[: seeds.size] = np.asarray(packed).reshape(seeds.size, -1)
+            if watch is not None:
+                watch(decided, active)
             command = np.where(active, Command.STEP, Command.IDLE).astype(np.uint8)
             answer = self._pool.step(command, decided[:, layout.action], resets)
             flags = batch.flags_of(decided, layout)

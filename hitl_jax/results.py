@@ -260,12 +260,14 @@ class ResultsFolder:
         return _read_npz(self._run_path(key) / "params.npz")
 
     def load_recordings(self, key: RunKey) -> dict[str, Recording]:
-        """The recorded training episodes of a finished run, by name.
+        """The recorded training episodes of a finished run, by name; none if it was made without.
 
         Raises:
-            ResultsError: if the file is damaged, or missing: the run was made without.
+            ResultsError: if the file is damaged.
         """
         path = self._run_path(key) / "episodes.npz"
+        if not path.exists():
+            return {}
         with named_errors(path):
             arrays = _read_npz(path)
             names = [name.removesuffix("/episode") for name in arrays if name.endswith("/episode")]

@@ -368,8 +368,7 @@ class Rollout:
             dangerous=flags["dangerous"],
             boundary=np.where(self._has_arbiter, decided[:, layout.boundary], np.nan),
         )
-        told = [getattr(step, name) for name in STEP_COLUMNS]
-        self._log.add(live, np.column_stack([decided[:, layout.action], *told]))
+        self._log.add(live, batch.recorded_steps(decided, layout, self._has_arbiter))
         self._needs_reset[:] = False
         for slot, row in self._counter.count(step):
             self._end_episode(slot, row)

@@ -4,6 +4,9 @@ import csv
 import itertools
 import json
 import os
+import pathlib
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,14 +14,15 @@ import time
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from experiments import alarms, seed_sweep
+from experiments import alarms, replay, seed_sweep, verify
 from experiments.cli import run_main
 from experiments.options import SweepOptions
 from experiments.seed_sweep import _Sweep, main
 from hitl_jax.evaluation import Evaluator
 from hitl_jax.results import ResultsFolder, RunKey
-from hitl_jax.tables import select
+from hitl_jax.tables import select, table_to_csv
 
 _SMALL = [
     *("--seeds", "1", "--episodes", "3", "--test-episodes", "2", "--warmup-steps", "100"),
@@ -74,6 +78,76 @@ def test_alarms_are_counted_in_the_episodes_of_the_tests(swept):
         assert {int(row["falls"]) for row in rows} == {alone["fall"].sum()}
         assert int(rows[0]["alarms"]) == int(rows[0]["steps"])  # a boundary of 0
     assert (swept / "figures" / "figure8_alarms.png").exists()
+
+
+def _verify(folder, *options):
+    return run_main(verify.VerifyOptions, verify.main, [str(folder), *options])
+
+
+def _replay(folder, *options):
+    return run_main(replay.ReplayOptions, replay.main, [str(folder), *options])
+
+
+def test_every_episode_that_is_kept_can_be_had_again(swept, tmp_path, capsys):
+    assert _verify(swept, "--runs", "9") == 0
+    said = capsys.readouterr().out
+    assert "hitl-ac seed 0: training " in said
+    assert said.endswith("of 3 of 3 runs agree\n")
+    forged = tmp_path / "forged"
+    shutil.copytree(swept, forged)
+    path = forged / "runs/srl/seed-0000/test.csv"
+    table = ResultsFolder(forged).load_run(RunKey("srl", 0)).tests
+    table["return"][1] += 1e-9
+    path.write_text(table_to_csv(table))
+    assert _verify(forged, "--runs", "9") == 1
+    said = capsys.readouterr().out
+    assert "srl seed 0: training 1 of 1, autonomous 1 of 2" in said
+
+
+def test_a_film_shows_the_recorded_episode(swept, tmp_path, capsys):
+    films = (
+        (["--method", "hitl-fix"], "hitl-fix-seed-0-training"),
+        (["--phase", "assisted", "--episode", "2"], "hitl-ac-seed-0-assisted-2"),
+    )
+    for options, name in films:
+        assert _replay(swept, *options) == 0
+        said = capsys.readouterr().out
+        path = pathlib.Path(said.splitlines()[0])
+        assert path.parent == swept / "replays"
+        assert path.name.startswith(name)
+        steps = int(re.search("after ([0-9]+) steps", said)[1])
+        with Image.open(path) as film:
+            assert film.size == (600, 400)
+            assert film.n_frames == -(-steps // 2)
+    forged = tmp_path / "forged"
+    shutil.copytree(swept, forged)
+    path = forged / "runs/srl/seed-0000/episodes.csv"
+    table = ResultsFolder(forged).load_run(RunKey("srl", 0)).episodes
+    table["return"] += 1.0
+    path.write_text(table_to_csv(table))
+    assert _replay(forged, "--method", "srl") == 1
+    assert "not the same episode" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--method", "ppo"], "--method ppo: must be one of srl, hitl-fix, hitl-ac"),
+        (["--seed", "5"], "--seed 5: finished seeds of hitl-ac are 0"),
+        (["--episode", "77"], "--episode 77: recorded training episodes of hitl-ac seed 0 are "),
+        (["--phase", "assisted", "--method", "srl"], "--episode 1: srl seed 0 has 0 episodes of"),
+        (["--out", "film.avi"], "--out film.avi: must end in .gif or .mp4"),
+        (["--width", "5"], "--width 5: must be at least 100 and at most 2000"),
+        (["--human-policy", "gone.npz"], "--human-policy gone.npz: No such file"),
+    ],
+)
+def test_an_episode_that_there_is_not(swept, options, message, capsys):
+    assert _replay(swept, *options) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("error: ")
+    assert said.err.count("\n") == 1
+    assert message in said.err
 
 
 def test_a_second_start_skips_what_is_done_and_adds_seeds(swept, capsys):
