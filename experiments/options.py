@@ -44,6 +44,7 @@ class SweepOptions:
         slots: runs at a time; the others wait. Each takes capacity x 140 bytes of memory.
         human_policy: a `params.npz` whose actor gives the human's actions (default: gymnasium's
             scripted walker).
+        save_seconds: how often runs under way are saved [s]: what a killed process loses at most.
         out: folder of the results. An interrupted sweep goes on in the same folder.
         agent: static choices.
         loop: how much a run plays and learns.
@@ -60,6 +61,7 @@ class SweepOptions:
     workers: int | None = None
     slots: int = 32
     human_policy: str | None = None
+    save_seconds: float = 120.0
     out: str = "runs/sweep"
     agent: Annotated[AgentConfig, tyro.conf.arg(name="")] = AgentConfig()
     loop: Annotated[LoopConfig, tyro.conf.arg(name="")] = LoopConfig()
@@ -94,6 +96,7 @@ class SweepOptions:
         require("slots", self.slots, at_least=1)
         if self.workers is not None:
             require("workers", self.workers, at_least=1)
+        require("save_seconds", self.save_seconds, at_least=0.0)
         validate_hyper(self.hyper)
         for name in ("observation_size", "action_size"):
             has = getattr(AgentConfig(), name)

@@ -41,7 +41,6 @@ from hitl_jax.tables import EPISODE_COLUMNS, PROGRESS_COLUMNS, TEST_COLUMNS, to_
 
 FIRST_FIGURES_SECONDS = 100.0
 FIGURES_SECONDS = 300.0
-SAVE_SECONDS = 120.0
 FIGURES_NICE = 10
 """Added to the process's own: a drawing must not keep walkers waiting."""
 
@@ -111,6 +110,11 @@ def _sweep(
             flush=True,
         )
         return stop.exit_code
+    except ResultsError as error:
+        sweep.stop_drawing()
+        raise ResultsError(
+            f"{error}. What was finished or saved before is kept; the same command goes on"
+        ) from error
     for line in _draw(folder):
         print(line)
     return 0
@@ -139,7 +143,7 @@ class _Sweep:
         self._drawing: subprocess.Popen | None = None
         self._started = time.monotonic()
         self._draw_at = self._started + FIRST_FIGURES_SECONDS
-        self._save_at = self._started + SAVE_SECONDS
+        self._save_at = self._started + options.save_seconds
         self._provenance = {
             "versions": versions(),
             "commit": git_commit(),
@@ -192,7 +196,7 @@ class _Sweep:
         if self._rollout is not None:
             # Finished runs among them are not asked for when the sweep goes on.
             self._saves.write([*self._rollout.save(), *self._left_alone])
-            self._save_at = time.monotonic() + SAVE_SECONDS
+            self._save_at = time.monotonic() + self._options.save_seconds
 
     def _watch(self, rollout: Rollout) -> None:
         self._rollout = rollout

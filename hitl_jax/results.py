@@ -198,6 +198,7 @@ class ResultsFolder:
             ValueError: if a column, an array or an entry of `info` is not what it must be.
         """
         final = self._run_path(key)
+        self._require_there()
         if final.exists():
             raise ResultsError(f"{final}: this run is finished already")
         missing = [name for name in RUN_INFO if name not in info]
@@ -281,6 +282,7 @@ class ResultsFolder:
 
     def write_partial(self, key: RunKey, episodes: dict[str, Any]) -> None:
         """Writes, in place of an earlier one, the training episodes so far of a run under way."""
+        self._require_there()
         text = table_to_csv(to_table(episodes, EPISODE_COLUMNS))
         write_text_atomic(self._partial_path(key), text)
 
@@ -306,6 +308,11 @@ class ResultsFolder:
                 if path.exists():  # if not, the run has finished since the folder was listed
                     raise
         return tables
+
+    def _require_there(self) -> None:
+        """Refuses to make anew what somebody has removed: it would lack all but the latest."""
+        if not (self.path / "config.json").exists():
+            raise ResultsError(f"{self.path}: has vanished, or its config.json has")
 
     def _run_path(self, key: RunKey) -> pathlib.Path:
         return self.path / "runs" / key.method / f"seed-{key.seed:04d}"

@@ -71,6 +71,8 @@ class Saves:
         Raises:
             ResultsError: if the disk refuses; the save before still counts.
         """
+        with named_errors(self._path):
+            self._path.mkdir(exist_ok=True)  # Not its parents: results that vanished stay away.
         number = self._number + 1
         names = [_name(run) for run in runs]
         new = dict(zip(names, (run.frames for run in runs), strict=True))

@@ -1,0 +1,233 @@
+"""A thousand generated bad inputs: a clear line each, never a traceback, never a wrong resume."""
+
+import errno
+import json
+import shutil
+
+import hypothesis
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from test_results import CONFIG, KEY, make_episodes, make_info, make_params, make_tests
+from test_saves import _run as make_saved
+
+from experiments.cli import BadInput, checking_input, parse
+from experiments.options import SweepOptions
+from hitl_jax import files
+from hitl_jax.results import ResultsError, ResultsFolder, RunKey
+from hitl_jax.saves import Saves
+from hitl_jax.summary import write_summary
+
+_CAPACITY = 8
+_OTHER = RunKey("srl", 0)
+
+
+def many(examples):
+    return hypothesis.settings(
+        max_examples=examples,
+        deadline=None,
+        derandomize=True,
+        suppress_health_check=[hypothesis.HealthCheck.function_scoped_fixture],
+    )
+
+
+def _assert_one_line(said, names=""):
+    assert said
+    assert names in said
+    assert "\n" not in said
+
+
+# ------------------------------------------------------------------------------ command lines
+
+_NAMES = """
+preset methods seeds first-seed episodes test-episodes backend workers slots out save-seconds
+human-policy learner hidden-sizes batch-size n-step boundary-source indicator danger intervention
+release feedback-schedule observation-size capacity chunk updates-per-step gamma exploration-noise
+noise-correlation warmup-steps initial-boundary delta-minus boundary-low boundary-high alarm-reward
+takeover-steps human.tolerance human.delay human.miss-rate nothing
+"""
+_WORDS = "-1 0 1 7 2.5 nan inf -inf 1e400 None True ddpg srl hitl-ac rule 0x10 1_000 -- - ü [] full"
+
+
+@many(300)
+@hypothesis.given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(_NAMES.split()),
+            st.lists(st.sampled_from([*_WORDS.split(), "", "9" * 30, "a b"]), max_size=3),
+        )
+    )
+)
+def test_any_command_line_is_right_or_explained_in_one_line(options):
+    line = [word for name, values in options for word in (f"--{name}", *values)]
+    try:
+        with checking_input():
+            asked = parse(SweepOptions, line).checked()
+    except BadInput as error:
+        _assert_one_line(str(error))
+    else:
+        assert np.isfinite(asked.hyper.gamma)
+
+
+# -------------------------------------------------------------------------------------- files
+
+_DAMAGE = st.one_of(
+    st.tuples(st.just("cut"), st.floats(0, 1, exclude_max=True), st.just(0)),
+    st.tuples(st.just("flip"), st.floats(0, 1, exclude_max=True), st.integers(0, 7)),
+    st.tuples(st.just("insert"), st.floats(0, 1), st.integers(0, 255)),
+    st.tuples(st.just("replace"), st.just(0.0), st.integers(0, 5)),
+)
+_FOREIGN = (b"", b"{}", b'{"format": 99}', b"[1, 2]", b"PK\x03\x04", b"\x80\x04\x95pickle.")
+
+
+def _damaged(data, damage):
+    kind, where, what = damage
+    place = int(where * len(data))
+    if kind == "cut":
+        return data[:place]
+    if kind == "flip":
+        return data[:place] + bytes([data[place] ^ (1 << what)]) + data[place + 1 :]
+    if kind == "insert":
+        return data[:place] + bytes([what]) + data[place:]
+    return _FOREIGN[what]
+
+
+def _save(folder, key):
+    folder.save_run(key, make_episodes(), make_tests(), make_params(), make_info())
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A folder with a finished run and two saves of another."""
+    folder = ResultsFolder(tmp_path_factory.mktemp("whole") / "out")
+    folder.create_or_resume(CONFIG, "command")
+    _save(folder, KEY)
+    saves = Saves(folder.path / "under_way", _CAPACITY)
+    for ticks in (4, 8):
+        saves.write([make_saved(ticks, 4, _OTHER)])
+    return folder
+
+
+_STATES = {4: repr(make_saved(4, 4, _OTHER)), 8: repr(make_saved(8, 8, _OTHER))}
+
+
+@many(300)
+@hypothesis.given(st.integers(0, 3), _DAMAGE)
+def test_damaged_saves_are_noticed_and_never_taken_up(whole, number, damage):
+    folder = whole.path / "under_way"
+    path = sorted(folder.iterdir())[number]
+    data = path.read_bytes()
+    hypothesis.assume(_damaged(data, damage) != data)
+    path.write_bytes(_damaged(data, damage))
+    try:
+        runs, notes = Saves(folder, _CAPACITY).load()
+    finally:
+        path.write_bytes(data)
+    for run in runs.values():
+        assert repr(run) == _STATES[run.facts["ticks"]]
+    for note in notes:
+        _assert_one_line(note, "damaged")
+
+
+@many(300)
+@hypothesis.given(
+    st.sampled_from(("run.json", "episodes.csv", "test.csv", "progress.csv", "params.npz")), _DAMAGE
+)
+def test_a_damaged_run_is_read_or_explained_in_one_line(whole, name, damage):
+    path = whole.path / f"runs/{KEY.method}/seed-{KEY.seed:04d}" / name
+    data = path.read_bytes()
+    path.write_bytes(_damaged(data, damage))
+    try:
+        whole.load_run(KEY)
+        whole.load_params(KEY)
+        whole.load_recordings(KEY)
+    except ResultsError as error:
+        _assert_one_line(str(error), str(path))
+    finally:
+        path.write_bytes(data)
+
+
+@many(150)
+@hypothesis.given(_DAMAGE)
+def test_a_damaged_configuration_is_never_resumed_as_another(whole, damage):
+    path = whole.path / "config.json"
+    data = path.read_bytes()
+    path.write_bytes(_damaged(data, damage))
+    try:
+        whole.create_or_resume(CONFIG, "command")
+    except ResultsError as error:
+        _assert_one_line(str(error), str(whole.path))
+    else:
+        # Whitespace, or a word of the record that defines no number.
+        assert json.loads(path.read_text())["config"] == json.loads(data)["config"]
+    finally:
+        path.write_bytes(data)
+
+
+# ---------------------------------------------------------------------------------- a full disk
+
+
+def _session(folder):
+    """What a sweep writes, in its order; what is finished is not written again."""
+    saves = Saves(folder.path / "under_way", _CAPACITY)
+    folder.create_or_resume(CONFIG, "command")
+    for key in (KEY, _OTHER):
+        if key not in folder.finished():
+            runs, notes = saves.load()
+            assert notes == []
+            ticks = runs[key].facts["ticks"] if key in runs else 0
+            saves.write([make_saved(ticks + 4, 4, key)])
+            folder.write_partial(key, make_episodes(2))
+            _save(folder, key)
+            folder.remove_partial(key)
+        assert key in folder.finished()
+    write_summary(folder, np.random.default_rng(0))
+
+
+def test_a_full_disk_costs_nothing_that_is_there(tmp_path, monkeypatch):
+    write, left = files._write_synced, 10**6
+
+    def full(path, data):
+        nonlocal left
+        left -= 1
+        if left < 0:
+            path.write_bytes(data[: len(data) // 2])
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(path, data)
+
+    monkeypatch.setattr(files, "_write_synced", full)
+    _session(ResultsFolder(tmp_path / "whole"))
+    writes = 10**6 - left
+    assert writes > 15
+    kept = 0
+    for number in range(writes):
+        folder = ResultsFolder(tmp_path / str(number))
+        left = number
+        with pytest.raises(ResultsError, match=r"/\S+: No space left on device$"):
+            _session(folder)
+        before = folder.finished()
+        assert len(before) >= kept  # What a longer session had written, a shorter one has not lost.
+        kept = len(before)
+        left = 10**6
+        _session(folder)  # There is space again.
+        for key in before:
+            np.testing.assert_array_equal(
+                folder.load_run(key).episodes["return"], make_episodes()["return"]
+            )
+        shutil.rmtree(folder.path)
+    assert kept == 2
+
+
+def test_a_folder_that_vanishes_is_not_made_anew(tmp_path):
+    folder = ResultsFolder(tmp_path / "out")
+    folder.create_or_resume(CONFIG, "command")
+    saves = Saves(folder.path / "under_way", _CAPACITY)
+    shutil.rmtree(folder.path)
+    for write in (
+        lambda: _save(folder, KEY),
+        lambda: folder.write_partial(KEY, make_episodes(2)),
+        lambda: saves.write([make_saved(4, 4)]),
+    ):
+        with pytest.raises(ResultsError, match="out"):
+            write()
+    assert not folder.path.exists()
