@@ -24,7 +24,10 @@ from hitl_jax.runs import LoopConfig
 @pytest.mark.parametrize(
     ("args", "said"),
     [
-        (["--only", "speed"], "--only speed: must be some of learner, pool, loop, scaling, peers"),
+        (
+            ["--only", "speed"],
+            "--only speed: must be some of learner, pool, loop, scaling, saves, peers",
+        ),
         (["--only", "learner,speed"], "--only learner,speed: must be some of"),
         (["--only"], "--only"),
         (["--tile", "0"], "--tile 0: must be at least 1"),
