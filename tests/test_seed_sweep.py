@@ -1,5 +1,6 @@
 """The main job end to end, on real walkers, and what it says to careless users."""
 
+import contextlib
 import csv
 import itertools
 import json
@@ -29,6 +30,25 @@ _SMALL = [
     *("--hidden-sizes", "16", "--batch-size", "16", "--capacity", "2000", "--learner", "td3"),
     *("--slots", "2"),  # for one run as for three: the same programs
 ]
+
+
+@contextlib.contextmanager
+def _start(*options):
+    """A sweep in a process of its own."""
+    command = [sys.executable, "-m", "experiments.seed_sweep", *_SMALL, *options]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command,
+        stdout=pipe,
+        stderr=pipe,
+        text=True,
+        start_new_session=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    ) as sweep:
+        try:
+            yield sweep
+        finally:
+            sweep.kill()
 
 
 def _run(out, *options):
@@ -175,6 +195,11 @@ def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys,
         return evaluate(*arguments)
 
     out = tmp_path / "out"
+    with _start("--save-seconds", "0", "--out", str(out)) as killed:
+        while not list(out.glob("under_way/state-*.npz")):
+            assert killed.poll() is None, killed.communicate()[1]
+            time.sleep(0.05)
+        killed.kill()
     monkeypatch.setattr(seed_sweep, "_draw", lambda _: [])
     for owner, name, stop, code in (
         (_Sweep, "_watch", stop_in_training, 143),
@@ -266,26 +291,13 @@ def test_a_missing_extra_is_named(tmp_path, capsys, monkeypatch):
 
 def test_ctrl_c_draws_what_there_is_and_says_how_to_go_on(tmp_path):
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "experiments.seed_sweep", *_SMALL, "--episodes", "100000"]
-    sweep = subprocess.Popen(
-        [*command, "--methods", "srl", "--out", str(out)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
-    )
-    try:
-        assert sweep.stdout is not None
+    with _start("--methods", "srl", "--episodes", "100000", "--out", str(out)) as sweep:
         line = sweep.stdout.readline()
         while "steps/s" not in line:
             assert line, sweep.communicate()[1]
             line = sweep.stdout.readline()
         os.killpg(sweep.pid, signal.SIGINT)
         said, errors = sweep.communicate(timeout=120)
-    finally:
-        sweep.kill()
-        sweep.communicate()
     assert sweep.returncode == 130, errors
     assert "The same command goes on" in said
     assert "Traceback" not in errors

@@ -1,0 +1,47 @@
+"""The command that kills sweeps: how it compares, and its bad input."""
+
+import shutil
+
+import numpy as np
+import pytest
+from test_results import CONFIG, KEY, save
+
+from experiments.cli import run_main
+from experiments.faults import FaultOptions, _differences, main
+from hitl_jax.results import ResultsFolder, RunKey
+
+
+@pytest.fixture
+def folders(tmp_path):
+    one = ResultsFolder(tmp_path / "one")
+    one.create_or_resume(CONFIG, "command")
+    save(one)
+    shutil.copytree(one.path, tmp_path / "other")
+    return one, ResultsFolder(tmp_path / "other")
+
+
+def test_what_differs_is_named(folders):
+    one, other = folders
+    assert _differences(one, other) == []
+    run = other.path / f"runs/{KEY.method}/seed-{KEY.seed:04d}"
+    params = one.load_params(KEY)
+    params["actor/layer_0/bias"][1] = -0.0  # equal, but not the same
+    np.savez(run / "params.npz", **params)
+    assert _differences(one, other) == [run / "params.npz"]
+    (run / "test.csv").write_text((run / "test.csv").read_text() + "\n")
+    assert _differences(one, other) == [run / "test.csv", run / "params.npz"]
+    save(one, RunKey("srl", 0))
+    assert _differences(one, other) == [other.path / "runs"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--kills", "0"], "--kills 0: must be at least 1"),
+        (["--longest", "0"], "--longest 0.0: must be at least 0.1"),
+        (["--out", "."], "--out .: is there already; name a new folder"),
+    ],
+)
+def test_bad_input_is_one_line(options, message, capsys):
+    assert run_main(FaultOptions, main, options) == 2
+    assert capsys.readouterr().err == f"error: {message}\n"
