@@ -22,7 +22,7 @@ from hitl_jax.config import require
 from hitl_jax.results import ResultsFolder
 
 _SWEEP = (
-    *("--seeds", "1", "--episodes", "100", "--test-episodes", "4", "--learner", "td3"),
+    *("--seeds", "1", "--episodes", "150", "--test-episodes", "4", "--learner", "td3"),
     *("--hidden-sizes", "16", "--batch-size", "16", "--capacity", "5000", "--warmup-steps", "500"),
     *("--save-seconds", "1"),
 )
@@ -36,13 +36,14 @@ class FaultOptions:
     Attributes:
         kills: of the whole sweep, and again of single walker processes.
         first: what the random moments start from.
-        longest: longest time from a start, or a kill, to the next kill [s].
+        longest: longest time from a start, or from the first save after it, to a kill [s]; that of
+            a walker process is within a tenth of it after the one before.
         out: a new folder for the three sweeps.
     """
 
     kills: int = 20
     first: int = 0
-    longest: float = 20.0
+    longest: float = 6.0
     out: str = "runs/faults"
 
 
@@ -85,8 +86,12 @@ def main(options: FaultOptions) -> int:
 def _kill_sweeps(out: pathlib.Path, moments: random.Random, options: FaultOptions) -> None:
     for kill in range(1, options.kills + 1):
         with _sweep(out) as sweep:
-            ended = _sleep(sweep, moments.uniform(0.0, options.longest))
-            if ended:
+            # One kill in four can meet the start, the others what comes after it.
+            before = _newest_save(out)
+            at_work = moments.random() < 0.75
+            while at_work and _newest_save(out) == before and not _sleep(sweep, 0.1):
+                pass
+            if _sleep(sweep, moments.uniform(0.0, options.longest)):
                 print(f"the sweep ended before kill {kill}", flush=True)
                 return
             sweep.kill()
@@ -146,9 +151,12 @@ def _workers_of(parent: int) -> list[int]:
 
 
 def _state(out: pathlib.Path) -> str:
-    finished, saves = len(list(out.glob("runs/*/*"))), list(out.glob("under_way/state-*.npz"))
-    newest = f"save {max(saves).stem[-6:].lstrip('0')}" if saves else "no save"
-    return f"{newest}, {finished} runs finished"
+    return f"save {_newest_save(out)}, {len(list(out.glob('runs/*/*')))} runs finished"
+
+
+def _newest_save(out: pathlib.Path) -> int:
+    """Its number; 0 if there is none."""
+    return max((int(path.stem[-6:]) for path in out.glob("under_way/state-*.npz")), default=0)
 
 
 def _differences(one: ResultsFolder, other: ResultsFolder) -> list[pathlib.Path]:
