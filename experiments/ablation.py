@@ -178,9 +178,9 @@ def _ids(setting: Setting, parts: Parts, options: AblationOptions) -> list[RunId
 
 def _summary(finished: FinishedRun, tests: list[Row]) -> Row:
     run = finished.run
-    episodes = to_table(to_columns(run.episodes, EPISODE_COLUMNS), EPISODE_COLUMNS)
+    episodes = to_table(to_columns(run.all_episodes(), EPISODE_COLUMNS), EPISODE_COLUMNS)
     tested = to_table(to_columns(tests, TEST_COLUMNS), TEST_COLUMNS)
-    info = {"wall_seconds": time.monotonic() - run.started}
+    info = {"wall_seconds": time.monotonic() - run.started, "diverged": run.diverged}
     row = summarise_run(Run(RunKey(run.spec.method, run.spec.seed), info, episodes, tested))
     return {name: value for name, value in row.items() if name not in ("method", "seed")}
 

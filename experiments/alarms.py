@@ -21,14 +21,14 @@ import tyro
 from experiments import alarm_figure
 from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
-from experiments.trained import agent_of, load_trained
+from experiments.trained import able_to_play, agent_of, load_trained
 from hitl_jax.agent import Agent
 from hitl_jax.alarms import AlarmCounts, count_alarms, total
 from hitl_jax.config import require
 from hitl_jax.envs import make_pool
 from hitl_jax.evaluation import Evaluator, evaluate_policies
 from hitl_jax.files import ResultsError, write_text_atomic
-from hitl_jax.results import ResultsFolder, RunKey, sort_keys
+from hitl_jax.results import ResultsFolder, RunKey
 from hitl_jax.runs import RunSpec, Snapshot
 
 NUM_BOUNDARIES = 61
@@ -65,7 +65,7 @@ def main(options: AlarmOptions) -> int:
     try:
         folder = ResultsFolder(options.results)
         agent = agent_of(folder)
-        keys = sort_keys(folder.finished())
+        keys = able_to_play(folder)
         if not keys:
             raise BadInput(f"{options.results}: no run has finished yet")
         keep_programs()

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
-from experiments.trained import agent_of, load_trained
+from experiments.trained import able_to_play, agent_of, load_trained
 from hitl_jax.agent import Agent
 from hitl_jax.config import Method, require
 from hitl_jax.envs import make_pool
@@ -75,7 +75,7 @@ def main(options: MapOptions) -> int:
                 f"{options.results}: its boundary source is {source}: must be one of "
                 f"{', '.join(_SOURCES)}, where an actor's output is executed"
             )
-        keys = sorted(key for key in folder.finished() if key.method == Method.HITL_AC)
+        keys = [key for key in able_to_play(folder) if key.method == Method.HITL_AC]
         if not keys:
             raise BadInput(f"{options.results}: no run of HITL-AC has finished yet")
         keep_programs()

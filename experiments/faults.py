@@ -93,6 +93,7 @@ def _kill_sweeps(out: pathlib.Path, moments: random.Random, options: FaultOption
                 pass
             if _sleep(sweep, moments.uniform(0.0, options.longest)):
                 print(f"the sweep ended before kill {kill}", flush=True)
+                _wait(sweep)
                 return
             sweep.kill()
             sweep.wait()

@@ -162,9 +162,10 @@ def require_format(path: pathlib.Path) -> None:
 
 
 def _resized(images: Iterable[Image.Image], width: int) -> Iterator[Image.Image]:
+    """To this width, made even as is the height: MP4 wants it so."""
     for image in images:
-        height = round(image.height * width / image.width / 2) * 2  # MP4 wants even numbers
-        yield image.resize((width, height), Image.Resampling.LANCZOS)
+        height = round(image.height * width / image.width)
+        yield image.resize((width // 2 * 2, height // 2 * 2), Image.Resampling.LANCZOS)
 
 
 def _to_gif(images: Iterable[Image.Image]) -> bytes:

@@ -132,7 +132,10 @@ def _find_test(
 ) -> tuple[int, Recording, float]:
     """Reset seed, steps and recorded return of a test episode; all are played for it."""
     assert options.phase != "training"
-    recorded = select(folder.load_run(key).tests, "mode", options.phase)["return"]
+    run = folder.load_run(key)
+    if run.diverged:
+        raise BadInput(f"{options.results}: {key} diverged; its tests count as falls, unplayed")
+    recorded = select(run.tests, "mode", options.phase)["return"]
     number = 1 if options.episode is None else options.episode
     if not 1 <= number <= len(recorded):
         raise BadInput(

@@ -1,8 +1,8 @@
 """The main job: `python -m experiments.seed_sweep`.
 
 Trains SRL, HITL-FIX and HITL-AC over a batch of seeds on Box2D's BipedalWalker-v3, tests each
-trained walker, and writes tables and Figures 4 to 6. Started again in the same folder it skips what
-is done.
+trained walker, and writes tables and Figures 4 to 6. Started again in the same folder it goes on
+where it was.
 """
 
 import contextlib
@@ -33,7 +33,7 @@ from hitl_jax.files import ResultsError, locked
 from hitl_jax.provenance import git_commit, processor, versions
 from hitl_jax.results import ResultsFolder, RunKey
 from hitl_jax.rollout import Rollout
-from hitl_jax.runs import RunSpec, num_slots
+from hitl_jax.runs import RunName, RunSpec, num_slots
 from hitl_jax.saved import SavedRun
 from hitl_jax.saves import Saves
 from hitl_jax.summary import write_summary
@@ -97,8 +97,7 @@ def _sweep(
     keep_programs()
     sweep = _Sweep(options, agent, folder, config, len(wanted), specs)
     try:
-        if specs:
-            sweep.run()
+        sweep.run()
     except Interrupted as stop:
         sweep.stop_drawing()
         sweep.save()
@@ -155,6 +154,17 @@ class _Sweep:
 
     def run(self) -> None:
         """Trains, tests and writes every run."""
+        if self._specs:
+            self._run()
+            return
+        # A sweep that was killed after its last run may have left saves: whole ones, which runs of
+        # other commands may need, or what there is no use for.
+        with contextlib.suppress(ResultsError):
+            self._take_saved()
+        if not self._left_alone:
+            self._saves.remove()
+
+    def _run(self) -> None:
         options = self._options
         devices = learning_devices()
         slots = num_slots(len(self._specs), options.slots)
@@ -164,20 +174,7 @@ class _Sweep:
                 f"{len(self._specs)} runs in {slots} slots on {len(devices)} {devices[0].platform} "
                 f"devices; results in {options.out}"
             )
-            saved, notes = self._saves.load()
-            for note in notes:
-                progress.say(f"a save cannot be used: {note}")
-            names = {spec.name for spec in self._specs}
-            finished = self._folder.finished()
-            by_name = {
-                (Method(key.method), key.seed): run
-                for key, run in saved.items()
-                if key not in finished
-            }
-            going_on = {name: run for name, run in by_name.items() if name in names}
-            self._left_alone = [
-                run.without_new_frames() for name, run in by_name.items() if name not in names
-            ]
+            going_on = self._take_saved()
             if going_on:
                 progress.say(f"{len(going_on)} runs go on where they were saved")
             tested = train_and_test(
@@ -190,6 +187,21 @@ class _Sweep:
             self._saves.remove()
         if self._drawing is not None:
             self._drawing.wait()
+
+    def _take_saved(self) -> dict[RunName, SavedRun]:
+        """The runs to go on with; those that were not asked for are put aside."""
+        saved, notes = self._saves.load()
+        for note in notes:
+            self._progress.say(f"a save cannot be used: {note}")
+        names = {spec.name for spec in self._specs}
+        going_on = {}
+        for key, run in saved.items():
+            name = Method(key.method), key.seed
+            if name in names:
+                going_on[name] = run
+            elif key not in self._folder.finished():
+                self._left_alone.append(run.without_new_frames())
+        return going_on
 
     def save(self) -> None:
         """Writes all that the runs under way need to go on."""
@@ -208,8 +220,8 @@ class _Sweep:
     def save_partial(self) -> None:
         """Writes, for the figures, the episodes of the runs that are not finished."""
         for run in self._rollout.runs() if self._rollout else []:
-            if run.episodes and not run.done:
-                key = RunKey(run.spec.method, run.spec.seed)
+            key = RunKey(run.spec.method, run.spec.seed)
+            if run.episodes and key not in self._folder.finished():
                 self._folder.write_partial(key, to_columns(run.episodes, EPISODE_COLUMNS))
 
     def stop_drawing(self) -> None:
@@ -235,7 +247,7 @@ class _Sweep:
         arrays = checkpoint.flatten(finished.train, finished.boundary)
         self._folder.save_run(
             key,
-            to_columns(run.episodes, EPISODE_COLUMNS),
+            to_columns(run.all_episodes(), EPISODE_COLUMNS),
             to_columns(tests, TEST_COLUMNS),
             arrays,
             info,

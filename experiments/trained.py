@@ -8,7 +8,7 @@ from hitl_jax.agent import Agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.files import ResultsError
 from hitl_jax.human import HumanParams
-from hitl_jax.results import ResultsFolder, RunKey
+from hitl_jax.results import ResultsFolder, RunKey, sort_keys
 from hitl_jax.runs import RunSpec, Snapshot
 from hitl_jax.types import Behavior
 
@@ -45,6 +45,19 @@ def require_same_human(folder: ResultsFolder, human_policy: str | None) -> None:
             f"--human-policy {human_policy}: {folder.path} was made with "
             f"{'the scripted walker' if has is None else f'a file of {has}'}"
         )
+
+
+def able_to_play(folder: ResultsFolder) -> list[RunKey]:
+    """The finished runs less those that diverged, which are named in a printed line.
+
+    Raises:
+        ResultsError: if a run is damaged.
+    """
+    keys = sort_keys(folder.finished())
+    lost = [key for key in keys if folder.load_run(key).diverged]
+    if lost:
+        print(f"diverged, left out: {', '.join(map(str, lost))}", flush=True)
+    return [key for key in keys if key not in lost]
 
 
 def load_trained(folder: ResultsFolder, key: RunKey) -> tuple[RunSpec, Snapshot]:

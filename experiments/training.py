@@ -1,8 +1,9 @@
 """Trains runs and tests each at its end: what a sweep and an ablation have in common."""
 
 import hashlib
+import itertools
 import pathlib
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import NamedTuple
 
 from experiments.signals import deferred_interrupts
@@ -88,7 +89,7 @@ def train_and_test(
     loop: LoopConfig,
     plant: Plant,
     watch: Callable[[Rollout], None],
-    saved: Mapping[RunName, SavedRun] | None = None,
+    saved: dict[RunName, SavedRun] | None = None,
 ) -> Generator[Tested]:
     """Gives each run as it ends, tested.
 
@@ -98,7 +99,7 @@ def train_and_test(
         loop: how much they play and learn.
         plant: the walkers.
         watch: called after each chunk.
-        saved: runs to go on with; None also says that `watch` saves none.
+        saved: runs to go on with, see `Rollout`; None also says that `watch` saves none.
 
     Raises:
         Interrupted: after Ctrl-C or SIGTERM, when the chunk, or the step of a test, under way has
@@ -109,24 +110,27 @@ def train_and_test(
     def pool_of(phase: str, walkers: int) -> WalkerPool:
         # For EnvPool, whose walkers cannot be seeded one by one: other runs, other seed.
         runs = (f"{spec.method}-{spec.seed}" for spec in specs)
-        seed = episode_seed(phase, *runs) >> 1
+        begun = sum(run.facts["ticks"] for run in (saved or {}).values())
+        seed = episode_seed(phase, *runs, begun) >> 1
         return make_pool(plant.backend, walkers, plant.workers, seed=seed)
 
     with (
         pool_of("train", plant.slots) as pool,
         pool_of("test", plant.test_episodes) as test_pool,
-        deferred_interrupts() as interrupted,
     ):
         evaluator = Evaluator(agent, test_pool)
         rollout = Rollout(agent, specs, pool, loop, saved=saved)
-        for done in rollout:
-            for finished in done:
-                modes = _modes(finished.run.spec.method)
-                tests = evaluate_run(evaluator, finished, modes, lambda *_: interrupted())
-                progress = evaluate_snapshots(evaluator, finished.run, lambda *_: interrupted())
-                yield Tested(finished, tests, progress)
-            watch(rollout)
-            interrupted()
+        chunks = iter(rollout)
+        first = next(chunks)  # Compiles; nothing is lost if it is interrupted.
+        with deferred_interrupts() as interrupted:
+            for done in itertools.chain([first], chunks):
+                for finished in done:
+                    modes = _modes(finished.run.spec.method)
+                    tests = evaluate_run(evaluator, finished, modes, lambda *_: interrupted())
+                    progress = evaluate_snapshots(evaluator, finished.run, lambda *_: interrupted())
+                    yield Tested(finished, tests, progress)
+                watch(rollout)
+                interrupted()
 
 
 def _modes(method: Method) -> tuple[Mode, ...]:

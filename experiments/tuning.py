@@ -22,10 +22,11 @@ from hitl_jax import files
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require
 from hitl_jax.envs import make_pool
+from hitl_jax.episodes import FALL_REWARD
 from hitl_jax.evaluation import Evaluator, evaluate_run
 from hitl_jax.provenance import git_commit, short_commit
 from hitl_jax.rollout import Rollout
-from hitl_jax.runs import LoopConfig, Run, RunSpec, num_slots
+from hitl_jax.runs import FinishedRun, LoopConfig, Run, RunSpec, num_slots
 
 _BASE: Changes = {
     "learner": "td3",
@@ -159,30 +160,39 @@ def _measure(
     ):
         rollout = Rollout(agent, specs, pool, loop)
         started = time.monotonic()
-        for number, _ in enumerate(rollout, start=1):
+        lost: list[FinishedRun] = []  # They diverged: no run has as many episodes as ticks.
+        for number, done in enumerate(rollout, start=1):
+            lost += done
             ticks = number * loop.chunk
             if ticks <= hyper.warmup_steps:
                 started = time.monotonic()
             if ticks * _STAGES >= options.ticks * (len(stages) + 1):
-                seconds = time.monotonic() - started
-                stages.append({"ticks": ticks, "seconds": seconds, **_returns(rollout.runs())})
+                returns = _returns(rollout.runs(), lost)
+                stages.append({"ticks": ticks, "seconds": time.monotonic() - started, **returns})
                 print(name, json.dumps(stages[-1]), flush=True)
             if ticks >= options.ticks:
                 break
+        else:  # All have diverged.
+            seconds = time.monotonic() - started
+            end = {"ticks": ticks, "seconds": seconds, **_returns([], lost)}
+            stages += [end] * (_STAGES - len(stages))
         evaluator = Evaluator(agent, test_pool)
-        for run in rollout.runs():
-            rows = evaluate_run(evaluator, rollout.collect(run), ("autonomous",))
-            tests[run.spec.method].append(float(np.mean([row["return"] for row in rows])))
+        left = [rollout.collect(run) for run in rollout.runs() if not run.done]
+        for run in [*left, *lost]:
+            rows = evaluate_run(evaluator, run, ("autonomous",))
+            tests[run.run.spec.method].append(float(np.mean([row["return"] for row in rows])))
     return stages, tests
 
 
-def _returns(runs: list[Run]) -> dict[str, list[float]]:
-    """Mean of the latest training returns of each run that has one, by method."""
+def _returns(runs: list[Run], lost: list[FinishedRun]) -> dict[str, list[float]]:
+    """Mean of the latest training returns of each run that has one, by method; falls if lost."""
     latest: dict[str, list[float]] = {method: [] for method in Method}
     for run in runs:
-        if run.episodes:
+        if run.episodes and not run.done:
             returns = [row["return"] for row in run.episodes[-_LAST_EPISODES:]]
             latest[run.spec.method].append(float(np.mean(returns)))
+    for finished in lost:
+        latest[finished.run.spec.method].append(FALL_REWARD)
     return latest
 
 

@@ -86,7 +86,7 @@ def _verify(agent: Agent, folder: ResultsFolder, key: RunKey) -> tuple[int, int]
     run = folder.load_run(key)
     results = {"training": _replay(folder, run)}
     autonomous = select(run.tests, "mode", "autonomous")["return"]
-    if len(autonomous):
+    if len(autonomous) and not run.diverged:
         with contextlib.closing(make_pool("lean", len(autonomous))) as pool:
             evaluator = Evaluator(agent, pool)
             for mode in get_args(Mode):

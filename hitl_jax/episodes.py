@@ -62,7 +62,7 @@ _COUNTS = (
 def fall_at_once() -> Row:
     """The row of an episode that could not be played since the numbers were not finite.
 
-    It counts against the method as the worst that a walker can do: a fall in the first step.
+    It counts against the method, as a fall in the first step.
     """
     counts = dict.fromkeys(("interventions", "human_steps", "alarms", "true_alarms"), 0)
     unknown = dict.fromkeys(("mean_boundary", "final_boundary", "lead_steps"), float("nan"))
@@ -101,6 +101,10 @@ class EpisodeCounter:
         """Puts back what `state_of` gave."""
         self._totals[:, walker] = totals
         self._recent[:, walker] = alarms
+
+    def length_of(self, walker: int) -> int:
+        """Steps so far of a walker's unfinished episode."""
+        return int(self._totals[_COUNTS.index("length"), walker])
 
     def intervened(self, control: np.ndarray) -> np.ndarray:
         """Whether u was 1 at any step of this episode, this step included, bool [N]."""

@@ -107,6 +107,12 @@ class Evaluator:
             live = active[: seeds.size].reshape(seeds.shape)
             state, packed = self._act(hyper, params, state, seen, live)
             decided[: seeds.size] = np.asarray(packed).reshape(seeds.size, -1)
+            # A policy of numbers that are not finite cannot act.
+            unable = active & ~np.isfinite(decided).all(axis=1)
+            for walker in np.flatnonzero(unable).tolist():
+                place = {"mode": mode, "episode": walker % seeds.shape[1] + 1}
+                rows[walker] = place | fall_at_once()
+            active = active & ~unable
             if watch is not None:
                 watch(decided, active)
             command = np.where(active, Command.STEP, Command.IDLE).astype(np.uint8)
@@ -127,7 +133,6 @@ class Evaluator:
                 dangerous=flags["dangerous"],
                 boundary=decided[:, layout.boundary] if known else np.full(walkers, np.nan),
             )
-            active = active.copy()
             for walker, row in counter.count(step):
                 rows[walker] = {"mode": mode, "episode": walker % seeds.shape[1] + 1, **row}
                 active[walker] = False
@@ -153,7 +158,7 @@ def evaluate_run(
     modes: Sequence[Mode],
     watch: Watch | None = None,
 ) -> list[Row]:
-    """Tests a run as training left it.
+    """Tests a run as training left it; one that diverged counts as falling at once.
 
     The terrain depends on the seed alone: a comparison that is paired over methods needs fewer
     episodes.
@@ -194,6 +199,9 @@ def evaluate_snapshots(evaluator: Evaluator, run: Run, watch: Watch | None = Non
         played = evaluate_policies(evaluator, "autonomous", run.spec, group, watch)
         each = len(played) // len(group)
         rows += [{"trained": group[n // each].episode, **row} for n, row in enumerate(played)]
+    if run.diverged:
+        lost = run.diverged.episodes
+        rows = [row | fall_at_once() if row["trained"] > lost else row for row in rows]
     return rows
 
 
@@ -206,8 +214,6 @@ def evaluate_policies(
 ) -> list[Row]:
     """One test of some of a run's policies, each on the same terrains.
 
-    A policy of numbers that are not finite cannot act: its rows are `fall_at_once`.
-
     Args:
         evaluator: its walkers are shared out among the policies.
         mode: `autonomous` or `assisted`.
@@ -219,22 +225,13 @@ def evaluate_policies(
         A row for each policy and episode.
     """
     *_, key = batch.run_keys(spec.seed, method_index(spec.method))
-    able = [_is_finite(policy) for policy in policies]
-    stacked = jax.tree.map(lambda *leaves: np.nan_to_num(np.stack(leaves)), *policies)
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *policies)
     numbers = range(evaluator.num_episodes // len(policies))
     seeds = np.array([episode_seed("test", spec.seed, number) for number in numbers], np.uint32)
     everywhere = np.tile(seeds, (len(policies), 1))
-    rows = evaluator.evaluate(
+    return evaluator.evaluate(
         mode, spec.hyper, stacked.behavior, stacked.boundary, key, everywhere, watch
     )
-    return [
-        row if able[place // len(seeds)] else row | fall_at_once() for place, row in enumerate(rows)
-    ]
-
-
-def _is_finite(policy: Snapshot) -> bool:
-    leaves = jax.tree.leaves((policy.behavior, policy.boundary))
-    return all(np.isfinite(leaf).all() for leaf in leaves)
 
 
 def frozen(hyper: RunHyper, human_present: bool) -> RunHyper:

@@ -39,12 +39,14 @@ from hitl_jax.tables import METHODS, Table, select
 class _Method(NamedTuple):
     """One method's data: training episodes of all runs, test episodes of the finished ones.
 
-    `progress` has the mean test returns of the runs that were tested during training as well, and
-    `points` when that was.
+    `played` leaves out the episodes that a diverged run could not play, which count as falls in
+    `training`. `progress` has the mean test returns of the runs that were tested during training
+    as well, and `points` when that was.
     """
 
     name: str
     training: list[Table]
+    played: list[Table]
     unfinished: int
     tests: list[Table]
     points: np.ndarray
@@ -113,6 +115,7 @@ def _load(folder: ResultsFolder) -> _Data:
         finished = [run for run in runs if run.key.method == name]
         begun = [t for key, t in partials.items() if key.method == name and len(t["episode"])]
         training = [run.episodes for run in finished if len(run.episodes["episode"])] + begun
+        played = [run.played for run in finished if len(run.played["episode"])] + begun
         tested = [run for run in finished if (run.tests["mode"] == "autonomous").any()]
         often = [skill_over_training(run) for run in tested if len(run.progress["trained"])]
         if training or tested:
@@ -120,7 +123,7 @@ def _load(folder: ResultsFolder) -> _Data:
             # All runs of a folder have the same points.
             progress = [returns for _, returns in often]
             tests = [run.tests for run in tested]
-            methods.append(_Method(name, training, len(begun), tests, points, progress))
+            methods.append(_Method(name, training, played, len(begun), tests, points, progress))
     longest = max((len(t["episode"]) for m in methods for t in m.training), default=0)
     window = int(np.clip(longest // 10, 20, 100))
     return _Data(methods, window, boundary_label(folder), _moves(folder.load_config()))
@@ -245,10 +248,10 @@ def _draw_boundary(data: _Data, rng: np.random.Generator) -> Figure | None:
     for m in methods:
         if m.name == "hitl-ac":  # the others' boundaries do not differ from seed to seed
             thin: dict[str, Any] = {"color": COLOURS[m.name], "alpha": 0.35, "linewidth": 0.5}
-            for t in m.training:
+            for t in m.played:
                 seed_lines += upper.plot(t["episode"], t["mean_boundary"], **thin)
             seed_lines[0].set_label(f"{m.name.upper()}, each seed")
-        draw_curve(upper, m.name, over_episodes(_column(m, "mean_boundary"), 1, rng))
+        draw_curve(upper, m.name, over_episodes([t["mean_boundary"] for t in m.played], 1, rng))
         curve = over_episodes(_column(m, "return"), data.window, rng)
         lines.append(draw_curve(lower, m.name, curve, m.unfinished))
     upper.set(ylabel=f"{data.boundary_label},\nmean of the episode")
@@ -260,14 +263,14 @@ def _draw_boundary(data: _Data, rng: np.random.Generator) -> Figure | None:
 
 def _draw_moves(data: _Data, rng: np.random.Generator) -> Figure | None:
     """What moved HITL-AC's boundary from τ_0: alarms, by line 8, or the actor."""
-    methods = [m for m in _trained(data) if m.name == "hitl-ac"]
+    methods = [m for m in _with_human(data) if m.name == "hitl-ac"]
     if not methods or data.moves is None:
         return None
     [m] = methods
     rule = data.moves
-    moved = [t["final_boundary"] - rule.initial for t in m.training]
-    down = [-rule.minus * np.cumsum(t["true_alarms"]) for t in m.training]
-    up = [rule.plus * np.cumsum(t["false_alarms"]) for t in m.training]
+    moved = [t["final_boundary"] - rule.initial for t in m.played]
+    down = [-rule.minus * np.cumsum(t["true_alarms"]) for t in m.played]
+    up = [rule.plus * np.cumsum(t["false_alarms"]) for t in m.played]
     parts: dict[str, tuple[str, tuple[float, ...], list[np.ndarray]]] = {
         "true alarms (Δ⁻ each)": ("#CC79A7", (5.0, 1.6), down),
         "false alarms (Δ⁺ each)": ("#E69F00", (1.2, 1.2), up),
@@ -301,15 +304,17 @@ def _draw_human(data: _Data, rng: np.random.Generator) -> Figure | None:
     figure, [left, right] = panels(1, 2, (PAGE, 3.4))
     lines: list[Line2D] = []
     for m in methods:
-        interventions = _column(m, "interventions")
+        interventions, gained = (
+            [t[name] for t in m.played] for name in ("interventions", "return")
+        )
         curve = over_episodes(interventions, data.window, rng)
         lines.append(draw_curve(left, m.name, curve, m.unfinished))
         # Episode by episode: over interventions as such, the seeds that need few would drop out.
         total = [np.cumsum(values) for values in interventions]
         burden = over_episodes(total, 1, rng)
-        returns = over_episodes(_column(m, "return"), data.window, rng)
+        returns = over_episodes(gained, data.window, rng)
         right.plot(burden.centre, returns.centre, linewidth=1.6, **line_style(m.name))
-        ends = [stats.trailing_mean(values, data.window)[-1] for values in _column(m, "return")]
+        ends = [stats.trailing_mean(values, data.window)[-1] for values in gained]
         dots: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 3, "alpha": 0.6}
         right.plot([values[-1] for values in total], ends, color=COLOURS[m.name], **dots)
     left.set(xlabel="training episode")
@@ -347,7 +352,7 @@ def _trained(data: _Data) -> list[_Method]:
 
 
 def _with_human(data: _Data) -> list[_Method]:
-    return [m for m in _trained(data) if m.name != "srl"]
+    return [m for m in data.methods if m.played and m.name != "srl"]
 
 
 def _column(method: _Method, name: str) -> list[np.ndarray]:

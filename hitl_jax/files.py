@@ -92,14 +92,21 @@ def locked(folder: pathlib.Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
         file = _open_lock(path)
     with file:
-        file.truncate()
-        since = time.strftime("%Y-%m-%d %H:%M:%S")
-        file.write(f"process {os.getpid()} on {platform.node()} since {since}")
-        file.flush()
         try:
+            with named_errors(path):
+                file.truncate()
+                since = time.strftime("%Y-%m-%d %H:%M:%S")
+                file.write(f"process {os.getpid()} on {platform.node()} since {since}")
+                file.flush()
             yield
         finally:
-            path.unlink(missing_ok=True)
+            if _is_there(path, file):  # Not another's, in a folder that was made anew.
+                path.unlink()
+
+
+def _is_there(path: pathlib.Path, file: TextIO) -> bool:
+    """Whether an open file is the one of this name."""
+    return path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat())
 
 
 def _open_lock(path: pathlib.Path) -> TextIO:
@@ -116,7 +123,7 @@ def _open_lock(path: pathlib.Path) -> TextIO:
             file.close()
             raise
         # Its owner may have removed the file between our two calls; then it locks nothing.
-        if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
+        if _is_there(path, file):
             return file
         file.close()
 

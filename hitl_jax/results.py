@@ -106,7 +106,13 @@ class Run:
     @property
     def diverged(self) -> bool:
         """Whether its numbers turned not finite; what it could not play counts as falls."""
-        return self.info.get("status") == "diverged"
+        return bool(self.info.get("diverged"))
+
+    @property
+    def played(self) -> Table:
+        """The training episodes that were played, without those that a diverged run could not."""
+        end = self.info["diverged"]["episodes"] if self.diverged else None
+        return {name: values[:end] for name, values in self.episodes.items()}
 
 
 class ResultsFolder:
@@ -398,8 +404,13 @@ def _to_npz(arrays: Mapping[str, Any], save: Callable[..., None]) -> bytes:
 def _read_npz(path: pathlib.Path) -> dict[str, np.ndarray]:
     # Opened here: np.load leaves the file open where the archive is damaged.
     with named_errors(path), open(path, "rb") as file:
-        archive = np.load(file, allow_pickle=False)
-        return {name: archive[name] for name in archive.files}
+        try:
+            archive = np.load(file, allow_pickle=False)
+            return {name: archive[name] for name in archive.files}
+        except OSError:
+            raise
+        except Exception as error:  # A flipped bit can make of zipfile's and NumPy's errors any.
+            raise ValueError(f"{type(error).__name__}: {error}") from error
 
 
 def _read_table(path: pathlib.Path, names: tuple[str, ...]) -> Table:

@@ -14,7 +14,7 @@ import dataclasses
 import operator
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import chex
@@ -27,8 +27,9 @@ from hitl_jax.config import require, typed
 from hitl_jax.devices import acting_device, default_tile, learning_devices
 from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.episode_log import EpisodeLog
-from hitl_jax.episodes import EpisodeCounter, Row, Step, fall_at_once
+from hitl_jax.episodes import EpisodeCounter, Row, Step
 from hitl_jax.recording import STEP_COLUMNS, Recording, names_of
+from hitl_jax.replay import Layout
 from hitl_jax.runs import (
     Divergence,
     FinishedRun,
@@ -57,7 +58,7 @@ class Rollout:
         pool: WalkerPool,
         config: LoopConfig,
         tile: int | None = None,
-        saved: Mapping[RunName, SavedRun] | None = None,
+        saved: dict[RunName, SavedRun] | None = None,
     ):
         """Places everything on the devices.
 
@@ -67,7 +68,8 @@ class Rollout:
             pool: one walker a slot; the number of slots must be a multiple of the devices'.
             config: how much to play and learn.
             tile: runs learned together on one device; by default `default_tile`.
-            saved: runs to go on with; None also says that none will be saved.
+            saved: runs to go on with, each taken out when it has a slot, since its replay is large;
+                None says that none will be saved either.
 
         Raises:
             CannotReturn: if a saved run's walker does not come back as it was.
@@ -95,9 +97,10 @@ class Rollout:
         )
 
         self._saves = saved is not None
-        self._saved = dict(saved or {})
+        self._saved = {} if saved is None else saved
         self._recent = [np.zeros((slots, 0, self._layout.width), np.float32)]
         self._step_width = pool.action_size + len(STEP_COLUMNS)
+        self._unsaved = np.zeros(slots, int)  # frames since a run was seated or saved
         self._log = EpisodeLog(slots, self._step_width)
         longest = max((len(run.frames) for run in self._saved.values()), default=0)
         self._seats = [self._programs.begin_ring(seats, longest) for seats in self._seats]
@@ -120,22 +123,23 @@ class Rollout:
     def __iter__(self) -> Iterator[list[FinishedRun]]:
         """Plays chunk after chunk; gives the runs that finished in each.
 
-        First, those that had ended when they were saved.
+        A run that had ended when it was saved is given at once.
         """
-        if ended := [run for run in self.runs() if run.done]:
-            yield [self.collect(run) for run in ended]
-            self._replace(ended)
-        while self._active.any():
-            self._behavior = self._to_acting(self._learned.popleft())
+        while self.runs():
+            if ended := [run for run in self.runs() if run.done]:
+                yield [self.collect(run) for run in ended]
+                self._replace(ended)
+                continue
+            self._behavior = self._to_acting(self._learned.popleft())  # Waits for the learner.
             self._stop_diverged("parameters", _finite_rows(*jax.tree.leaves(self._behavior)))
             frames = self._play()
             for run in self.runs():
                 self._keep_snapshots(run)
-            finished = [run for run in self._runs if run is not None and run.done]
-            results = [self.collect(run) for run in finished]
+            ended = [run for run in self.runs() if run.done]
+            results = [self.collect(run) for run in ended]
             self._learn(frames)
             yield results
-            self._replace(finished)
+            self._replace(ended)
 
     def runs(self) -> list[Run]:
         """The runs under way, and those that have just been given as finished."""
@@ -157,7 +161,6 @@ class Rollout:
         learned = [[np.asarray(part) for part in waiting] for waiting in self._learned]
         acting = np.asarray(self._acting.state)
         recent = np.concatenate(self._recent, axis=1)
-        self._recent = [recent[:, :0]]
         saved = [run.without_new_frames() for run in self._saved.values()]
         for run in self.runs():
             device, column = divmod(run.slot, self._share)
@@ -175,9 +178,11 @@ class Rollout:
                     recordings=recording.join(run.recordings, self._step_width),
                     totals=totals,
                     alarms=alarms,
-                    frames=recent[run.slot, max(recent.shape[1] - run.ticks, 0) :],
+                    frames=recent[run.slot, max(recent.shape[1] - self._unsaved[run.slot], 0) :],
                 )
             )
+        self._recent = [recent[:, :0].copy()]
+        self._unsaved[:] = 0
         return saved
 
     def wait(self) -> None:
@@ -223,6 +228,7 @@ class Rollout:
             waiting[device] = self._programs.seat_behavior(waiting[device], column, fresh)
         self._runs[slot] = Run(spec=spec, slot=slot)
         self._counter.clear(slot)
+        self._unsaved[slot] = 0
         self._log.begin(slot)
         self._active[slot] = True
         self._needs_reset[slot] = True
@@ -239,8 +245,8 @@ class Rollout:
         self._check_fit(run.spec, saved)
         cursor = int(seats.memory.cursor)
         ring = np.zeros((self._config.frames, self._layout.width), np.float32)
-        if saved.facts["begun"] and not self._pool.seedable:
-            saved = _without_episode(saved, self._layout.truncated)
+        if not self._pool.seedable:
+            saved = _between_episodes(saved, self._layout)
         frames = saved.frames[-len(ring) :]
         ring[np.arange(cursor - len(frames), cursor) % len(ring)] = frames
         start = np.int32(cursor - len(frames))
@@ -261,7 +267,7 @@ class Rollout:
         self._counter.restore(slot, saved.totals, saved.alarms)
         self._log.begin(slot, saved.steps)
         run.recordings = recording.split(facts["recordings"], saved.recordings)
-        run.done = len(run.episodes) >= run.spec.episodes
+        run.done = len(run.episodes) >= run.spec.episodes or run.diverged is not None
         self._active[slot] = not run.done
         self._needs_reset[slot] = not facts["begun"]
         self._seeds[slot] = episode_seed(run.spec.method, run.spec.seed, len(run.episodes))
@@ -271,14 +277,20 @@ class Rollout:
         """Raises CannotReturn unless the arrays are as this agent's are."""
         learned = jax.eval_shape(self._programs.pack_behavior, self._seats[0].train).shape[1]
         words = jax.eval_shape(self._programs.pack_train, self._seats[0].train).shape[1]
-        layout = self._layout
-        fits = (
-            saved.train.shape == (words,)
-            and saved.acting.shape == self._acting.state.shape[1:]
-            and saved.behavior.shape == (LAG + 1, learned)
-            and saved.observation.shape == (layout.observation_size,)
-            and saved.frames.shape[1:] == (layout.width,)
-        )
+        totals, alarms = self._counter.state_of(0)
+        expected = {
+            "train": (words,),
+            "acting": self._acting.state.shape[1:],
+            "behavior": (LAG + 1, learned),
+            "observation": (self._layout.observation_size,),
+            "totals": totals.shape,
+            "alarms": alarms.shape,
+            "frames": (len(saved.frames), self._layout.width),
+            "steps": (len(saved.steps), self._step_width),
+            "recordings": (len(saved.recordings), self._step_width),
+            "snapshots": (len(saved.snapshots), *[learned] * bool(len(saved.snapshots))),
+        }
+        fits = all(getattr(saved, name).shape == shape for name, shape in expected.items())
         if not fits:
             raise CannotReturn(f"{spec.method} seed {spec.seed} was saved by another program")
 
@@ -292,7 +304,7 @@ class Rollout:
     def _keep_snapshots(self, run: Run) -> None:
         """Keeps those whose episodes have ended in this chunk; there may be several."""
         left = run.spec.snapshots[len(run.snapshots) :]
-        due = [episode for episode in left if episode <= len(run.episodes)]
+        due = [episode for episode in left if episode <= len(run.episodes) or run.diverged]
         if due:
             device, _ = divmod(run.slot, self._share)
             learned = self._fetch(behavior(self._seats[device].train), run)
@@ -330,8 +342,11 @@ class Rollout:
             self._observation = answer.observation
         for run in self.runs():
             run.ticks += self._config.chunk
+        self._unsaved += self._config.chunk
         if self._saves:
             self._recent.append(frames)
+            if len(self._recent) > self._config.frames // self._config.chunk:
+                del self._recent[0]  # The replay has forgotten it.
         return frames
 
     def _record(
@@ -378,7 +393,7 @@ class Rollout:
         assert run is not None
         run.env_steps += row["length"]
         run.episodes.append({"episode": len(run.episodes) + 1, "env_steps": run.env_steps, **row})
-        for name in names_of(run.episodes, run.recordings) if run.diverged is None else ():
+        for name in names_of(run.episodes, run.recordings):
             run.recordings[name] = Recording(len(run.episodes), self._log.of(slot))
         self._needs_reset[slot] = True
         self._log.begin(slot)
@@ -389,12 +404,13 @@ class Rollout:
 
     def _stop_diverged(self, quantity: str, finite: np.ndarray) -> None:
         """Ends the runs that are active and of which something is not finite, bool [R]."""
-        for slot in np.flatnonzero(self._active & ~finite):
+        for slot in np.flatnonzero(self._active & ~finite).tolist():
             run = self._runs[slot]
             assert run is not None
-            run.diverged = Divergence(quantity, run.env_steps, len(run.episodes))
-            while not run.done:
-                self._end_episode(int(slot), fall_at_once())
+            steps = run.env_steps + self._counter.length_of(slot)
+            run.diverged = Divergence(quantity, steps, len(run.episodes))
+            run.done = True
+            self._active[slot] = False
 
     def _learn(self, frames: np.ndarray) -> None:
         """Starts the learner on a chunk; does not wait for it."""
@@ -444,14 +460,16 @@ def _facts(run: Run, begun: bool) -> dict[str, Any]:
     }
 
 
-def _without_episode(saved: SavedRun, truncated: int) -> SavedRun:
+def _between_episodes(saved: SavedRun, layout: Layout) -> SavedRun:
     """The run at the end of its last episode: the walker of the next cannot be brought back.
 
-    The steps that it took stay in the replay, as of an episode that was cut off.
+    The steps that it took stay in the replay, as of an episode that was cut off, and so do those of
+    the times before that the run was taken up.
     """
     frames = saved.frames.copy()
-    if len(saved.steps):
-        frames[-1, truncated] = 1.0
+    stepped = frames[:, layout.final] == 0
+    open_end = stepped & (frames[:, layout.terminated] == 0) & (frames[:, layout.truncated] == 0)
+    frames[open_end & ~np.append(stepped[1:], False), layout.truncated] = 1.0
     return saved._replace(
         facts=saved.facts | {"begun": False},
         frames=frames,

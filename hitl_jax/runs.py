@@ -10,7 +10,7 @@ import numpy as np
 
 from hitl_jax.config import Method, RunHyper, require
 from hitl_jax.devices import learning_devices
-from hitl_jax.episodes import Row
+from hitl_jax.episodes import Row, fall_at_once
 from hitl_jax.recording import Recording
 from hitl_jax.types import Behavior, Params
 
@@ -103,10 +103,9 @@ class Divergence(NamedTuple):
     """Where a run's numbers turned not finite; it ended there.
 
     Attributes:
-        quantity: what was seen first: `parameters`, `observation`, `action`, `reward`, ...
+        quantity: what was seen first: `parameters`, `observation`, `action`, `boundary`, `reward`.
         env_steps: environment steps taken until then.
-        episodes: training episodes that had ended by then. Those that were not played are in the
-            run's rows as `fall_at_once`.
+        episodes: training episodes that had ended by then.
     """
 
     quantity: str
@@ -128,7 +127,7 @@ class Run:
         ticks: ticks since it was seated.
         env_steps: environment steps taken.
         updates: updates of the task learner.
-        done: whether all episodes have ended.
+        done: whether all episodes have ended, or it diverged.
         snapshots: those that are due so far.
         recordings: episodes to be played again, by name; see `hitl_jax.recording`.
         diverged: where its numbers turned not finite, if they did.
@@ -146,6 +145,15 @@ class Run:
     recordings: dict[str, Recording] = dataclasses.field(default_factory=dict)
     diverged: Divergence | None = None
     started: float = dataclasses.field(default_factory=time.monotonic)
+
+    def all_episodes(self) -> list[Row]:
+        """A row for each training episode; of a run that diverged those not played are falls."""
+        rows = list(self.episodes)
+        steps = self.env_steps
+        for number in range(len(rows) + 1, self.spec.episodes + 1 if self.diverged else 0):
+            steps += 1
+            rows.append({"episode": number, "env_steps": steps, **fall_at_once()})
+        return rows
 
 
 @dataclasses.dataclass(frozen=True)

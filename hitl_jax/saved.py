@@ -11,6 +11,7 @@ import numpy as np
 
 from hitl_jax.envs import WalkerPool
 from hitl_jax.episode_log import playback
+from hitl_jax.files import ResultsError
 
 
 class SavedRun(NamedTuple):
@@ -48,11 +49,11 @@ class SavedRun(NamedTuple):
 
     def without_new_frames(self) -> "SavedRun":
         """To be saved again as it is."""
-        return self._replace(frames=self.frames[:0])
+        return self._replace(frames=np.zeros((0, *self.frames.shape[1:]), self.frames.dtype))
 
 
-class CannotReturn(RuntimeError):
-    """A walker did not come back as it was; one line."""
+class CannotReturn(ResultsError):
+    """A run cannot go on where it was saved; one line."""
 
 
 def bring_back(

@@ -45,7 +45,8 @@ class Saves:
     def __init__(self, path: pathlib.Path, capacity: int):
         self._path = path
         self._capacity = capacity
-        self._number = 0
+        self._number = 0  # the highest of any file
+        self._newest = 0  # the save that counts
         self._lengths: Lengths = {}
 
     def load(self) -> tuple[dict[RunKey, SavedRun], list[str]]:
@@ -53,16 +54,26 @@ class Saves:
 
         Returns:
             The runs, and a line for each newer save that is damaged.
+
+        Raises:
+            ResultsError: if there are saves, and none can be read.
         """
-        notes = []
-        for number in sorted(self._numbers("state"), reverse=True):
+        notes: list[str] = []
+        states = self._numbers("state")
+        self._number = max(states | self._numbers("frames"), default=0)
+        for number in sorted(states, reverse=True):
             try:
-                runs = self._load(number)
+                runs, self._lengths = self._load(number)
             except ResultsError as error:
                 notes.append(str(error))
                 continue
-            self._number = number
+            self._newest = number
             return runs, notes
+        if notes:
+            raise ResultsError(
+                f"{self._path}: no save can be read ({notes[0]}); remove the folder to begin the "
+                "runs under way anew"
+            )
         return {}, notes
 
     def write(self, runs: Sequence[SavedRun]) -> None:
@@ -92,9 +103,9 @@ class Saves:
         head = {"format": FORMAT, "runs": facts, "frames": lengths}
         arrays["head"] = _to_bytes(json.dumps(head, allow_nan=False))
         _write(self._file("state", number), arrays)
-        self._number, self._lengths = number, lengths
-        self._keep("state", {number - 1, number})
+        self._keep("state", {self._newest, number})
         self._keep("frames", {*before, *lengths})
+        self._number, self._newest, self._lengths = number, number, lengths
         remove_leftovers(self._path)
 
     def remove(self) -> None:
@@ -103,7 +114,7 @@ class Saves:
             with named_errors(self._path):
                 shutil.rmtree(self._path)
 
-    def _load(self, number: int) -> dict[RunKey, SavedRun]:
+    def _load(self, number: int) -> tuple[dict[RunKey, SavedRun], Lengths]:
         path = self._file("state", number)
         arrays = _read(path)
         with named_errors(path):
@@ -112,12 +123,15 @@ class Saves:
             except (KeyError, TypeError) as error:
                 raise ValueError(f"is not of this program: {error!r}") from error
 
-    def _assemble(self, arrays: dict[str, np.ndarray]) -> dict[RunKey, SavedRun]:
+    def _assemble(self, arrays: dict[str, np.ndarray]) -> tuple[dict[RunKey, SavedRun], Lengths]:
         head = json.loads(_to_text(arrays["head"]))
         if head["format"] != FORMAT:
             raise ValueError(f"is not of format {FORMAT}")
-        self._lengths = {int(number): lengths for number, lengths in head["frames"].items()}
-        files = {number: _read(self._file("frames", number)) for number in sorted(self._lengths)}
+        lengths: Lengths = {int(number): names for number, names in head["frames"].items()}
+        files = {number: _read(self._file("frames", number)) for number in sorted(lengths)}
+        for number, file in files.items():
+            if {name: len(frames) for name, frames in file.items()} != lengths[number]:
+                raise ValueError(f"{self._file('frames', number)} is of another save")
         runs = {}
         for index, facts in enumerate(head["runs"]):
             key = RunKey(facts["method"], facts["seed"])
@@ -131,7 +145,7 @@ class Saves:
                 raise ValueError(f"lacks frames of {key}")
             frames = frames[-min(facts["ticks"], self._capacity) :]
             runs[key] = SavedRun(facts | {"episodes": rows}, frames=frames, **parts)
-        return runs
+        return runs, lengths
 
     def _keep(self, kind: str, numbers: set[int]) -> None:
         """Removes the others."""

@@ -157,8 +157,9 @@ def summarise_run(run: Run) -> Row:
         "assisted_return_mean": _value(np.mean, assisted["return"]),
         "assisted_takeover_rate": _ratio(assisted["human_steps"], assisted["length"]),
         "assisted_interventions_per_episode": _value(np.mean, assisted["interventions"]),
-        "train_interventions": int(episodes["interventions"].sum()),
-        "train_human_steps": int(episodes["human_steps"].sum()),
+        # What a run that diverged spared its human is no merit.
+        "train_interventions": None if run.diverged else int(episodes["interventions"].sum()),
+        "train_human_steps": None if run.diverged else int(episodes["human_steps"].sum()),
         "alarm_agreement": _ratio(
             episodes["true_alarms"], episodes["true_alarms"] + episodes["false_alarms"]
         ),

@@ -14,6 +14,7 @@ from test_saves import _run as make_saved
 from experiments.cli import BadInput, checking_input, parse
 from experiments.options import SweepOptions
 from hitl_jax import files
+from hitl_jax.recording import Recording
 from hitl_jax.results import ResultsError, ResultsFolder, RunKey
 from hitl_jax.saves import Saves
 from hitl_jax.summary import write_summary
@@ -93,7 +94,9 @@ def _damaged(data, damage):
 
 
 def _save(folder, key):
-    folder.save_run(key, make_episodes(), make_tests(), make_params(), make_info())
+    recorded = {"best": Recording(2, np.linspace(-1, 1, 270, dtype=np.float32).reshape(30, 9))}
+    files = make_episodes(), make_tests(), make_params(), make_info()
+    folder.save_run(key, *files, recordings=recorded)
 
 
 @pytest.fixture(scope="module")
@@ -119,8 +122,11 @@ def test_damaged_saves_are_noticed_and_never_taken_up(whole, number, damage):
     data = path.read_bytes()
     hypothesis.assume(_damaged(data, damage) != data)
     path.write_bytes(_damaged(data, damage))
+    runs, notes = {}, []
     try:
         runs, notes = Saves(folder, _CAPACITY).load()
+    except ResultsError as error:
+        notes = [str(error)]
     finally:
         path.write_bytes(data)
     for run in runs.values():
@@ -131,7 +137,10 @@ def test_damaged_saves_are_noticed_and_never_taken_up(whole, number, damage):
 
 @many(300)
 @hypothesis.given(
-    st.sampled_from(("run.json", "episodes.csv", "test.csv", "progress.csv", "params.npz")), _DAMAGE
+    st.sampled_from(
+        ("run.json", "episodes.csv", "test.csv", "progress.csv", "params.npz", "episodes.npz")
+    ),
+    _DAMAGE,
 )
 def test_a_damaged_run_is_read_or_explained_in_one_line(whole, name, damage):
     path = whole.path / f"runs/{KEY.method}/seed-{KEY.seed:04d}" / name

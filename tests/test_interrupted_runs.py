@@ -76,32 +76,42 @@ def _load(folder):
 
 
 def test_runs_go_on_bit_for_bit_however_often_they_are_stopped(uninterrupted, tmp_path):
-    finished, ticks = {}, 0
+    finished, ticks, late = {}, {}, set()
     # Each time with other slots and neighbours; what is played after the last save is played again.
-    for slots, chunks in ((6, 10), (2, 7), (6, 1000)):
+    for slots, chunks in ((6, 10), (2, 70), (6, 1000)):
         saves, saved = _load(tmp_path)
-        assert sum(run.facts["ticks"] for run in saved.values()) >= ticks
-        ticks = sum(run.facts["ticks"] for run in saved.values())
+        now = {name: run.facts["ticks"] for name, run in saved.items()}
+        assert all(now[name] >= ticks.get(name, 0) for name in now)
+        ticks = now
         left = [spec for spec in _SPECS if spec.name not in finished]
+        waiting = {spec.name for spec in left[slots:]} & saved.keys()
         rollout = _rollout(left, slots, saved)
         for number, done in enumerate(itertools.islice(rollout, chunks)):
+            late |= waiting & {run.spec.name for run in rollout.runs()}
             finished |= {run.run.spec.name: run for run in done}
             if number % 3 == 2:
                 saves.write(rollout.save())
-    assert ticks > 0
+    assert late  # Runs that were saved, and had to wait for a slot.
     assert finished.keys() == uninterrupted.keys()
     for name, run in finished.items():
         _assert_same(run, uninterrupted[name])
 
 
-def test_a_run_that_ended_when_it_was_saved_is_given_at_once(uninterrupted):
-    rollout = _rollout(_SPECS[:1], 2, {})
+def test_runs_that_ended_when_they_were_saved_are_given_at_once(uninterrupted):
+    rollout = _rollout(_SPECS, 6, {})
+    saved = {}
     for done in rollout:
         if done:
-            [saved] = rollout.save()
-            break
-    [[again]] = list(_rollout(_SPECS[:1], 2, {_SPECS[0].name: saved}))
-    _assert_same(again, uninterrupted[_SPECS[0].name])
+            ended = {run.run.spec.name for run in done}
+            every = {
+                (Method(run.facts["method"]), run.facts["seed"]): run for run in rollout.save()
+            }
+            saved |= {name: every[name] for name in ended}
+    given = [run for done in _rollout(_SPECS, 2, saved) for run in done]
+    assert saved == {}
+    assert len(given) == len(_SPECS)
+    for run in given:
+        _assert_same(run, uninterrupted[run.run.spec.name])
 
 
 def test_a_walker_that_comes_back_otherwise_is_noticed(saved_run):

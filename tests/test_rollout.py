@@ -223,8 +223,8 @@ def test_parameters_that_are_not_finite_end_a_run(together):
     quantity, env_steps, episodes = lost.run.diverged
     assert quantity == "parameters"
     assert env_steps > _HYPER.warmup_steps
-    assert len(lost.run.episodes) == sick.episodes > episodes
-    _assert_falls(lost.run.episodes[episodes:])
+    assert len(lost.run.all_episodes()) == sick.episodes > len(lost.run.episodes) == episodes
+    _assert_falls(lost.run.all_episodes()[episodes:])
     # So do its tests, and those of its snapshots from there on.
     evaluator = Evaluator(make_agent(_CONFIG), ToyPool(4))
     _assert_falls(evaluate_run(evaluator, lost, ["autonomous", "assisted"]))
@@ -238,6 +238,6 @@ def test_a_plant_that_gives_no_number_ends_a_run(field, together):
     lost = _play_with_one_lost(specs, BrokenPool(6, field, 100), together)
     assert lost.run.spec is specs[0]
     assert lost.run.diverged.quantity == field
-    rows = lost.run.episodes
+    rows = lost.run.all_episodes()
     assert repr(rows[:2]) == repr(together[lost.run.spec.name].run.episodes[:2])
     _assert_falls(rows[lost.run.diverged.episodes :])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from test_results import make_episodes
 
+from hitl_jax.files import ResultsError
 from hitl_jax.results import RunKey
 from hitl_jax.saved import SavedRun
 from hitl_jax.saves import Saves
@@ -94,6 +95,9 @@ def test_a_damaged_save_gives_way_to_the_one_before(folder, cut):
     assert runs[_KEY].facts["ticks"] == 4
     saves.write([_run(8, 4)])
     assert Saves(folder, _CAPACITY).load()[0][_KEY].facts["ticks"] == 8
+    # The damaged one has gone, the one before it has stayed.
+    names = sorted(path.name for path in folder.glob("state-*"))
+    assert names == ["state-000001.npz", "state-000003.npz"]
 
 
 @pytest.mark.parametrize("name", ["state-000002.npz", "frames-000002.npz"])
@@ -107,11 +111,20 @@ def test_every_flipped_byte_is_noticed(folder, name):
         assert runs[_KEY].facts["ticks"] == 4
 
 
-def test_without_its_frames_a_save_does_not_count(folder):
+def test_without_their_frames_saves_do_not_count_and_nothing_is_begun_anew(folder):
     (folder / "frames-000001.npz").unlink()
-    runs, notes = Saves(folder, _CAPACITY).load()
-    assert runs == {}
-    assert len(notes) == 2
+    files = sorted(folder.iterdir())
+    with pytest.raises(ResultsError, match=r"no save can be read \(.*frames-000001.npz: No such"):
+        Saves(folder, _CAPACITY).load()
+    assert sorted(folder.iterdir()) == files
+
+
+def test_frames_of_another_save_are_noticed(folder, tmp_path):
+    other = Saves(tmp_path / "other", _CAPACITY)
+    other.write([_run(3, 3)])
+    (tmp_path / "other" / "frames-000001.npz").replace(folder / "frames-000001.npz")
+    with pytest.raises(ResultsError, match=r"frames-000001\.npz is of another save"):
+        Saves(folder, _CAPACITY).load()
 
 
 def test_nothing_there_is_nothing_saved(tmp_path):

@@ -109,7 +109,7 @@ class WorkerPool(CheckedPool):
         self._workers: list[_Worker] = []
         self._memory = _anonymous_file()
         try:
-            sizes = self._launch_all()
+            sizes = self._launch_surely()
             os.ftruncate(self._memory, num_bytes(num_walkers, *sizes))
             self._arrays = map_arrays(self._memory, num_walkers, *sizes)
         except BaseException:
@@ -184,6 +184,16 @@ class WorkerPool(CheckedPool):
             else:
                 return
         raise error
+
+    def _launch_surely(self) -> tuple[int, int]:
+        """`_launch_all`, again if a worker is killed meanwhile."""
+        for _ in range(_ATTEMPTS):
+            try:
+                return self._launch_all()
+            except _Killed as error:
+                _logger.warning("%s; all are started again", error)
+                self._end_workers()
+        return self._launch_all()
 
     def _launch_all(self) -> tuple[int, int]:
         """Starts all workers at once and waits until they are ready; O and A."""
