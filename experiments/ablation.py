@@ -30,7 +30,7 @@ from hitl_jax.config import Method, hyper_for, require
 from hitl_jax.figure_parts import paper_style, save
 from hitl_jax.files import ResultsError, write_text_atomic
 from hitl_jax.provenance import git_commit, short_commit
-from hitl_jax.results import Run, RunKey
+from hitl_jax.results import Run
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import FinishedRun, RunSpec, num_slots
 from hitl_jax.summary import summarise_run
@@ -181,7 +181,7 @@ def _summary(finished: FinishedRun, tests: list[Row]) -> Row:
     episodes = to_table(to_columns(run.all_episodes(), EPISODE_COLUMNS), EPISODE_COLUMNS)
     tested = to_table(to_columns(tests, TEST_COLUMNS), TEST_COLUMNS)
     info = {"wall_seconds": time.monotonic() - run.started, "diverged": run.diverged}
-    row = summarise_run(Run(RunKey(run.spec.method, run.spec.seed), info, episodes, tested))
+    row = summarise_run(Run(run.spec.key, info, episodes, tested))
     return {name: value for name, value in row.items() if name not in ("method", "seed")}
 
 

@@ -33,7 +33,7 @@ from hitl_jax.files import ResultsError, locked
 from hitl_jax.provenance import git_commit, processor, versions
 from hitl_jax.results import ResultsFolder, RunKey
 from hitl_jax.rollout import Rollout
-from hitl_jax.runs import RunName, RunSpec, num_slots
+from hitl_jax.runs import RunSpec, num_slots
 from hitl_jax.saved import SavedRun
 from hitl_jax.saves import Saves
 from hitl_jax.summary import write_summary
@@ -93,7 +93,7 @@ def _sweep(
         for method in map(Method, options.methods)
     ]
     finished = folder.finished()
-    specs = [spec for spec in wanted if RunKey(spec.method, spec.seed) not in finished]
+    specs = [spec for spec in wanted if spec.key not in finished]
     keep_programs()
     sweep = _Sweep(options, agent, folder, config, len(wanted), specs)
     try:
@@ -188,17 +188,16 @@ class _Sweep:
         if self._drawing is not None:
             self._drawing.wait()
 
-    def _take_saved(self) -> dict[RunName, SavedRun]:
+    def _take_saved(self) -> dict[RunKey, SavedRun]:
         """The runs to go on with; those that were not asked for are put aside."""
         saved, notes = self._saves.load()
         for note in notes:
             self._progress.say(f"a save cannot be used: {note}")
-        names = {spec.name for spec in self._specs}
+        asked = {spec.key for spec in self._specs}
         going_on = {}
         for key, run in saved.items():
-            name = Method(key.method), key.seed
-            if name in names:
-                going_on[name] = run
+            if key in asked:
+                going_on[key] = run
             elif key not in self._folder.finished():
                 self._left_alone.append(run.without_new_frames())
         return going_on
@@ -220,7 +219,7 @@ class _Sweep:
     def save_partial(self) -> None:
         """Writes, for the figures, the episodes of the runs that are not finished."""
         for run in self._rollout.runs() if self._rollout else []:
-            key = RunKey(run.spec.method, run.spec.seed)
+            key = run.spec.key
             if run.episodes and key not in self._folder.finished():
                 self._folder.write_partial(key, to_columns(run.episodes, EPISODE_COLUMNS))
 
@@ -243,7 +242,7 @@ class _Sweep:
             "diverged": run.diverged and run.diverged._asdict(),
             **self._provenance,
         }
-        key = RunKey(spec.method, spec.seed)
+        key = spec.key
         arrays = checkpoint.flatten(finished.train, finished.boundary)
         self._folder.save_run(
             key,

@@ -14,8 +14,9 @@ from hitl_jax.envs import WalkerPool, make_pool
 from hitl_jax.episodes import Row
 from hitl_jax.evaluation import Evaluator, Mode, evaluate_run, evaluate_snapshots
 from hitl_jax.networks import Actor
+from hitl_jax.results import RunKey
 from hitl_jax.rollout import Rollout
-from hitl_jax.runs import FinishedRun, LoopConfig, RunName, RunSpec, episode_seed
+from hitl_jax.runs import FinishedRun, LoopConfig, RunSpec, episode_seed
 from hitl_jax.saved import SavedRun
 
 
@@ -89,7 +90,7 @@ def train_and_test(
     loop: LoopConfig,
     plant: Plant,
     watch: Callable[[Rollout], None],
-    saved: dict[RunName, SavedRun] | None = None,
+    saved: dict[RunKey, SavedRun] | None = None,
 ) -> Generator[Tested]:
     """Gives each run as it ends, tested.
 

@@ -30,12 +30,12 @@ from hitl_jax.episode_log import EpisodeLog
 from hitl_jax.episodes import EpisodeCounter, Row, Step
 from hitl_jax.recording import STEP_COLUMNS, Recording, names_of
 from hitl_jax.replay import Layout
+from hitl_jax.results import RunKey
 from hitl_jax.runs import (
     Divergence,
     FinishedRun,
     LoopConfig,
     Run,
-    RunName,
     RunSpec,
     Snapshot,
     episode_seed,
@@ -58,7 +58,7 @@ class Rollout:
         pool: WalkerPool,
         config: LoopConfig,
         tile: int | None = None,
-        saved: dict[RunName, SavedRun] | None = None,
+        saved: dict[RunKey, SavedRun] | None = None,
     ):
         """Places everything on the devices.
 
@@ -104,7 +104,7 @@ class Rollout:
         self._log = EpisodeLog(slots, self._step_width)
         longest = max((len(run.frames) for run in self._saved.values()), default=0)
         self._seats = [self._programs.begin_ring(seats, longest) for seats in self._seats]
-        self._queue = deque(sorted(specs, key=lambda spec: spec.name not in self._saved))
+        self._queue = deque(sorted(specs, key=lambda spec: spec.key not in self._saved))
         self._runs: list[Run | None] = [None] * slots
         self._counter = EpisodeCounter(slots)
         self._active = np.zeros(slots, bool)
@@ -208,7 +208,7 @@ class Rollout:
                 break
             spec = self._queue.popleft()
             self._seat(slot, spec)
-            saved = self._saved.pop(spec.name, None)
+            saved = self._saved.pop(spec.key, None)
             if saved is not None:
                 self._take_up(slot, saved)
                 if self._active[slot] and not self._needs_reset[slot]:

@@ -12,6 +12,7 @@ from hitl_jax.config import Method, RunHyper, require
 from hitl_jax.devices import learning_devices
 from hitl_jax.episodes import Row, fall_at_once
 from hitl_jax.recording import Recording
+from hitl_jax.results import RunKey
 from hitl_jax.types import Behavior, Params
 
 
@@ -56,10 +57,6 @@ class LoopConfig:
         return round(updates)
 
 
-RunName = tuple[Method, int]
-"""Method and seed."""
-
-
 @dataclasses.dataclass(frozen=True)
 class RunSpec:
     """A run is its method and seed; `hyper` is what the method makes of the options.
@@ -79,9 +76,9 @@ class RunSpec:
     snapshots: tuple[int, ...] = ()
 
     @property
-    def name(self) -> RunName:
-        """Method and seed."""
-        return self.method, self.seed
+    def key(self) -> RunKey:
+        """Its name."""
+        return RunKey(str(self.method), self.seed)
 
 
 class Snapshot(NamedTuple):

@@ -3,16 +3,19 @@
 import csv
 import shutil
 
+import numpy as np
 import pytest
 
 from experiments import ablation
 from experiments.ablations.settings import ABLATIONS, Ablation, Setting
 from experiments.ablations.store import RunId, Store, digest
+from experiments.ablations.table import Line, to_markdown
 from experiments.changes import changed
 from experiments.cli import run_main
 from experiments.signals import Interrupted
-from hitl_jax.config import Method
+from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.files import ResultsError
+from hitl_jax.runs import Divergence, FinishedRun, Run, RunSpec
 
 _SMALL = {"hidden_sizes": (8,), "batch_size": 8, "capacity": 400, "warmup_steps": 40}
 _TINY = Ablation(
@@ -91,6 +94,15 @@ def test_what_is_done_when_it_is_stopped_is_kept(copied, capsys, monkeypatch):
     assert _run(copied, "tiny", "--seeds", "2") == 130
     assert "Stopped" in capsys.readouterr().out
     assert (copied / "runs.csv").read_text() == before
+
+
+def test_a_run_that_diverged_is_marked():
+    spec = RunSpec(Method.SRL, 0, hyper_for(Method.SRL, Hyper()), episodes=3)
+    run = Run(spec, 0, diverged=Divergence("action", 70, 0))
+    row = ablation._summary(FinishedRun(run, {}, np.zeros(())), [])
+    assert (row["diverged"], row["episodes"], row["final_return_100"]) == (1, 3, -100.0)
+    text = to_markdown("Title", "", [Line("tiny", "srl", [row])], np.random.default_rng(0))
+    assert "| tiny | srl | 1 (1 diverged) |" in text
 
 
 def test_settings_of_one_program_are_trained_together(tmp_path, monkeypatch):

@@ -52,8 +52,12 @@ def make_tests(method: str, modes: tuple[str, ...] = ("autonomous", "assisted"))
     return columns | {"mode": mode, "return": 200.0 + 10.0 * np.arange(len(mode))}
 
 
-def save(folder: ResultsFolder, method: str, seed: int, **modes: Any) -> None:
+def save(
+    folder: ResultsFolder, method: str, seed: int, diverged: int | None = None, **modes: Any
+) -> None:
     info = INFO | {"wall_seconds": 1.0, "env_steps": 1}
+    if diverged is not None:
+        info |= {"diverged": {"quantity": "action", "env_steps": 1, "episodes": diverged}}
     tests = make_tests(method, **modes)
     progress = {name: tests[name] for name in PROGRESS_COLUMNS[1:]}
     progress["trained"] = [50 if mode == "autonomous" else 100 for mode in tests["mode"]]
@@ -218,3 +222,18 @@ def test_command_runs_as_a_module(folder):
     done = subprocess.run(arguments, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr == f"error: {folder.path}: no episode has been saved yet\n"
+
+
+def test_a_diverged_run_counts_in_returns_and_nowhere_else(folder):
+    for seed in range(3):
+        save(folder, "hitl-ac", seed)
+    save(folder, "hitl-ac", 3, diverged=10)
+    save(folder, "hitl-fix", 0, diverged=0)
+    [fixed, learned] = figures._load(folder).methods
+    assert [len(t["episode"]) for t in learned.training] == [40] * 4
+    assert [len(t["episode"]) for t in learned.played] == [40, 40, 40, 10]
+    assert len(fixed.training) == 1
+    assert fixed.played == []
+    paths, notes = draw_all(folder, rng())
+    assert notes == []
+    assert len(paths) == 2 * len(NAMES)

@@ -13,6 +13,7 @@ from toy import ToyPool
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs import Command
+from hitl_jax.results import RunKey
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import LoopConfig, RunSpec, episode_seed
 from hitl_jax.saved import CannotReturn
@@ -34,7 +35,7 @@ def _rollout(specs, slots, saved):
 
 
 def _finish(rollout):
-    return {run.run.spec.name: run for done in rollout for run in done}
+    return {run.run.spec.key: run for done in rollout for run in done}
 
 
 def _assert_same(one, other):
@@ -72,7 +73,7 @@ def _load(folder):
     saves = Saves(folder, _LOOP.frames)
     runs, notes = saves.load()
     assert notes == []
-    return saves, {(Method(key.method), key.seed): run for key, run in runs.items()}
+    return saves, runs
 
 
 def test_runs_go_on_bit_for_bit_however_often_they_are_stopped(uninterrupted, tmp_path):
@@ -83,12 +84,12 @@ def test_runs_go_on_bit_for_bit_however_often_they_are_stopped(uninterrupted, tm
         now = {name: run.facts["ticks"] for name, run in saved.items()}
         assert all(now[name] >= ticks.get(name, 0) for name in now)
         ticks = now
-        left = [spec for spec in _SPECS if spec.name not in finished]
-        waiting = {spec.name for spec in left[slots:]} & saved.keys()
+        left = [spec for spec in _SPECS if spec.key not in finished]
+        waiting = {spec.key for spec in left[slots:]} & saved.keys()
         rollout = _rollout(left, slots, saved)
         for number, done in enumerate(itertools.islice(rollout, chunks)):
-            late |= waiting & {run.spec.name for run in rollout.runs()}
-            finished |= {run.run.spec.name: run for run in done}
+            late |= waiting & {run.spec.key for run in rollout.runs()}
+            finished |= {run.run.spec.key: run for run in done}
             if number % 3 == 2:
                 saves.write(rollout.save())
     assert late  # Runs that were saved, and had to wait for a slot.
@@ -102,36 +103,34 @@ def test_runs_that_ended_when_they_were_saved_are_given_at_once(uninterrupted):
     saved = {}
     for done in rollout:
         if done:
-            ended = {run.run.spec.name for run in done}
-            every = {
-                (Method(run.facts["method"]), run.facts["seed"]): run for run in rollout.save()
-            }
-            saved |= {name: every[name] for name in ended}
+            ended = {run.run.spec.key for run in done}
+            every = {RunKey(run.facts["method"], run.facts["seed"]): run for run in rollout.save()}
+            saved |= {key: every[key] for key in ended}
     given = [run for done in _rollout(_SPECS, 2, saved) for run in done]
     assert saved == {}
     assert len(given) == len(_SPECS)
     for run in given:
-        _assert_same(run, uninterrupted[run.run.spec.name])
+        _assert_same(run, uninterrupted[run.run.spec.key])
 
 
 def test_a_walker_that_comes_back_otherwise_is_noticed(saved_run):
     other = saved_run._replace(observation=saved_run.observation + np.float32(1e-3))
     with pytest.raises(CannotReturn, match="1 of 1 walkers did not come back as they were"):
-        _rollout(_SPECS[:1], 2, {_SPECS[0].name: other})
+        _rollout(_SPECS[:1], 2, {_SPECS[0].key: other})
 
 
 def test_a_run_that_does_not_fit_is_refused(saved_run):
     other = saved_run._replace(train=saved_run.train[:-1])
     with pytest.raises(CannotReturn, match="srl seed 0 was saved by another program"):
-        _rollout(_SPECS[:1], 2, {_SPECS[0].name: other})
+        _rollout(_SPECS[:1], 2, {_SPECS[0].key: other})
 
 
 def test_recorded_episodes_can_be_played_again(uninterrupted):
     names = set()
-    for (method, seed), finished in uninterrupted.items():
+    for key, finished in uninterrupted.items():
         for name, kept in finished.run.recordings.items():
             pool = ToyPool(1)
-            resets = np.array([episode_seed(method, seed, kept.episode - 1)])
+            resets = np.array([episode_seed(key.method, key.seed, kept.episode - 1)])
             pool.step(np.array([Command.RESET]), np.zeros((1, 4), np.float32), resets)
             total = 0.0
             for action in kept.actions:

@@ -62,8 +62,7 @@ def measure_saves(seconds: float) -> list[Row]:
             start = time.perf_counter()
             runs, _ = Saves(folder, config.frames).load()
             read = time.perf_counter() - start
-            saved = {(Method(key.method), key.seed): run for key, run in runs.items()}
-            next(iter(Rollout(agent, specs, pool, config, saved=saved)))
+            next(iter(Rollout(agent, specs, pool, config, saved=runs)))
             going_on = time.perf_counter() - start
     rows[-1] |= {"reading s": round(read, 2), "to the next chunk s": round(going_on, 1)}
     return rows
