@@ -37,7 +37,7 @@ class FaultOptions:
         kills: of the whole sweep, and again of single walker processes.
         first: what the random moments start from.
         longest: longest time from a start, or from the first save after it, to a kill [s]; that of
-            a walker process is within a tenth of it after the one before.
+            a walker process is within half of it after the one before.
         out: a new folder for the three sweeps.
     """
 
@@ -106,7 +106,7 @@ def _kill_workers(out: pathlib.Path, moments: random.Random, options: FaultOptio
     kills = 0
     with _sweep(out) as sweep:
         while kills < options.kills:
-            if _sleep(sweep, moments.uniform(0.0, options.longest / 10)):
+            if _sleep(sweep, moments.uniform(0.0, options.longest / 2)):
                 print(f"the sweep ended before kill {kills + 1}", flush=True)
                 break
             workers = _workers_of(sweep.pid)

@@ -331,7 +331,7 @@ def test_closes_in_mid_tick():
     ("action", "line", "tries"),
     [
         (RAISE, "exited with 1: ArithmeticError: the toy broke", 1),
-        (DIE, "was killed by SIGKILL", 4),
+        (DIE, "was killed by SIGKILL", 6),
     ],
     ids=["raises", "dies"],
 )

@@ -20,7 +20,7 @@ from hitl_jax.episode_log import EpisodeLog, playback
 
 _CLOSE_SECONDS = 5.0
 _LOG_BYTES = 8192
-_ATTEMPTS = 3
+_ATTEMPTS = 5
 """To play a tick in which a worker was killed; a walker that kills its worker would do it again."""
 
 _logger = logging.getLogger(__name__)
