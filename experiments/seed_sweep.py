@@ -72,10 +72,10 @@ def main(options: SweepOptions) -> int:
                 raise BadInput(f"--out {error}") from error
         if changed:
             print(f"{options.out} was begun with other code: {', '.join(changed)}", flush=True)
-        return _sweep(options, agent, folder, config)
+        return _make_runs(options, agent, folder, config)
 
 
-def _sweep(
+def _make_runs(
     options: SweepOptions, agent: Agent, folder: ResultsFolder, config: dict[str, Any]
 ) -> int:
     """Makes the runs that the folder lacks, and draws; the exit code."""
