@@ -311,7 +311,8 @@ def test_more_workers_than_walkers_and_no_orphans():
         workers = pool.process_ids
         assert len(workers) == 2
         for worker in workers:
-            os.kill(worker, signal.SIGINT)  # Ctrl-C is not theirs.
+            os.kill(worker, signal.SIGINT)  # Neither is theirs.
+            os.kill(worker, signal.SIGTERM)
         np.testing.assert_array_equal(tick(pool, RESET, seed=3).observation[:, 0], 3)
     assert not any(map(alive, workers))
     pool.close()

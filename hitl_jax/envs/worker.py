@@ -56,7 +56,9 @@ def main(
         num_workers: workers of the pool.
         wakes: file descriptor of the next worker's stdin; None for the last worker.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the pool's to handle.
+    # What is sent to the whole group, as Ctrl-C is, is the pool's to handle.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     # Walkers leave a few cycles at a reset; looking for them among all terrains at every seven
     # hundredth new object takes 3 % of a tick.
     gc.set_threshold(_NEW_OBJECTS)
