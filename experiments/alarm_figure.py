@@ -14,7 +14,8 @@ from hitl_jax.episodes import ALARM_WINDOW
 from hitl_jax.figure_parts import GREY, PAGE, line_style, method_label, panels, paper_style, save
 from hitl_jax.figures import boundary_label, tolerance_in
 from hitl_jax.files import named_errors
-from hitl_jax.results import ResultsFolder, RunKey
+from hitl_jax.results import ResultsFolder
+from hitl_jax.run_key import RunKey
 from hitl_jax.summary import STEPS_PER_SECOND
 from hitl_jax.tables import METHODS, cells_from_csv
 

@@ -28,7 +28,8 @@ from hitl_jax.config import require
 from hitl_jax.envs import make_pool
 from hitl_jax.evaluation import Evaluator, evaluate_policies
 from hitl_jax.files import ResultsError, write_text_atomic
-from hitl_jax.results import ResultsFolder, RunKey
+from hitl_jax.results import ResultsFolder
+from hitl_jax.run_key import RunKey
 from hitl_jax.runs import RunSpec, Snapshot
 
 NUM_BOUNDARIES = 61

@@ -24,7 +24,8 @@ from hitl_jax.evaluation import Evaluator, evaluate_policies
 from hitl_jax.figure_parts import COLUMN, GREY, paper_style, save
 from hitl_jax.figures import boundary_label, tolerance_in
 from hitl_jax.files import ResultsError, named_errors, write_text_atomic
-from hitl_jax.results import ResultsFolder, RunKey
+from hitl_jax.results import ResultsFolder
+from hitl_jax.run_key import RunKey
 from hitl_jax.tables import cells_from_csv
 
 DATA = "boundary_map.csv"

@@ -10,7 +10,8 @@ import tyro
 from experiments.cli import BadInput, run_main
 from hitl_jax import stats
 from hitl_jax.figures import draw_all
-from hitl_jax.results import ResultsError, ResultsFolder
+from hitl_jax.files import ResultsError
+from hitl_jax.results import ResultsFolder
 
 
 @dataclasses.dataclass(frozen=True)

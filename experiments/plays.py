@@ -14,11 +14,12 @@ from hitl_jax.episodes import Row
 from hitl_jax.evaluation import Evaluator, Mode, evaluate_policies
 from hitl_jax.files import ResultsError
 from hitl_jax.recording import Recording
-from hitl_jax.results import ResultsFolder, RunKey
+from hitl_jax.results import ResultsFolder
+from hitl_jax.run_key import RunKey
 from hitl_jax.runs import episode_seed
 
 
-class Test(NamedTuple):
+class PlayedTest(NamedTuple):
     """A test episode, played again.
 
     Attributes:
@@ -56,7 +57,7 @@ def returns_of(
 
 def play_tests(
     agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunKey, mode: Mode
-) -> list[Test]:
+) -> list[PlayedTest]:
     """Plays a run's tests once more, from its parameters.
 
     Args:
@@ -80,7 +81,7 @@ def play_tests(
     rows = evaluate_policies(evaluator, mode, spec, [end], watch)
     steps = np.stack(seen, axis=1)
     return [
-        Test(
+        PlayedTest(
             row,
             episode_seed("test", key.seed, place),
             Recording(place + 1, steps[place, : row["length"]]),

@@ -26,7 +26,8 @@ from hitl_jax.envs import make_pool
 from hitl_jax.evaluation import Evaluator
 from hitl_jax.files import ResultsError
 from hitl_jax.recording import BEST, Recording
-from hitl_jax.results import ResultsFolder, RunKey
+from hitl_jax.results import ResultsFolder
+from hitl_jax.run_key import RunKey
 from hitl_jax.tables import select
 
 _SPAN = 1.5

@@ -31,8 +31,9 @@ from hitl_jax.episodes import ALARM_WINDOW
 from hitl_jax.evaluation import milestones
 from hitl_jax.files import ResultsError, locked
 from hitl_jax.provenance import git_commit, processor, versions
-from hitl_jax.results import ResultsFolder, RunKey
+from hitl_jax.results import ResultsFolder
 from hitl_jax.rollout import Rollout
+from hitl_jax.run_key import RunKey
 from hitl_jax.runs import RunSpec, num_slots
 from hitl_jax.saved import SavedRun
 from hitl_jax.saves import Saves

@@ -8,7 +8,8 @@ from hitl_jax.agent import Agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.files import ResultsError
 from hitl_jax.human import HumanParams
-from hitl_jax.results import ResultsFolder, RunKey, sort_keys
+from hitl_jax.results import ResultsFolder
+from hitl_jax.run_key import RunKey, sort_keys
 from hitl_jax.runs import RunSpec, Snapshot
 from hitl_jax.types import Behavior
 

@@ -14,8 +14,8 @@ from hitl_jax.envs import WalkerPool, make_pool
 from hitl_jax.episodes import Row
 from hitl_jax.evaluation import Evaluator, Mode, evaluate_run, evaluate_snapshots
 from hitl_jax.networks import Actor
-from hitl_jax.results import RunKey
 from hitl_jax.rollout import Rollout
+from hitl_jax.run_key import RunKey
 from hitl_jax.runs import FinishedRun, LoopConfig, RunSpec, episode_seed
 from hitl_jax.saved import SavedRun
 

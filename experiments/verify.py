@@ -26,7 +26,8 @@ from hitl_jax.envs import make_pool, num_cores
 from hitl_jax.evaluation import Evaluator, Mode
 from hitl_jax.files import ResultsError
 from hitl_jax.provenance import processor
-from hitl_jax.results import ResultsFolder, Run, RunKey, sort_keys
+from hitl_jax.results import ResultsFolder, Run
+from hitl_jax.run_key import RunKey, sort_keys
 from hitl_jax.tables import select
 
 _SHOWN = 5

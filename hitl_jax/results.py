@@ -22,7 +22,6 @@ import io
 import json
 import os
 import pathlib
-import re
 import tempfile
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -40,9 +39,9 @@ from hitl_jax.files import (
 )
 from hitl_jax.provenance import git_commit, versions
 from hitl_jax.recording import Recording
+from hitl_jax.run_key import RunKey, parse_key, sort_keys
 from hitl_jax.tables import (
     EPISODE_COLUMNS,
-    METHODS,
     PROGRESS_COLUMNS,
     TEST_COLUMNS,
     Table,
@@ -61,27 +60,6 @@ _NONE: dict[str, Any] = {name: [] for name in PROGRESS_COLUMNS}
 
 class ConfigMismatch(ResultsError):
     """A results folder that was made with another config."""
-
-
-@dataclasses.dataclass(frozen=True, order=True)
-class RunKey:
-    """The name of a run: its randomness comes from these two alone.
-
-    Attributes:
-        method: lower-case letters, digits and hyphens, for example "hitl-ac".
-        seed: from 0.
-    """
-
-    method: str
-    seed: int
-
-    def __post_init__(self) -> None:
-        """Refuses what could not be a file name."""
-        if not re.fullmatch(r"[a-z0-9][a-z0-9-]*", self.method) or self.seed < 0:
-            raise ValueError(f"run {self.method!r} seed {self.seed}: not a method and a seed >= 0")
-
-    def __str__(self) -> str:
-        return f"{self.method} seed {self.seed}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -234,7 +212,7 @@ class ResultsFolder:
     def finished(self) -> set[RunKey]:
         """The runs that are on the disk, whole."""
         names = [(path.parent.name, path.name) for path in self.path.glob("runs/*/seed-*")]
-        return {key for method, name in names if (key := _parse_key(f"{method}-{name}"))}
+        return {key for method, name in names if (key := parse_key(f"{method}-{name}"))}
 
     def load_run(self, key: RunKey) -> Run:
         """Reads a finished run, without its parameters.
@@ -303,7 +281,7 @@ class ResultsFolder:
         Raises:
             ResultsError: if a file is damaged.
         """
-        keys = {key for p in self.path.glob("partial/*.csv") if (key := _parse_key(p.stem))}
+        keys = {key for p in self.path.glob("partial/*.csv") if (key := parse_key(p.stem))}
         tables = {}
         # A process killed between `save_run` and `remove_partial` leaves both.
         for key in sort_keys(keys - self.finished()):
@@ -324,13 +302,7 @@ class ResultsFolder:
         return self.path / "runs" / key.method / f"seed-{key.seed:04d}"
 
     def _partial_path(self, key: RunKey) -> pathlib.Path:
-        return self.path / "partial" / f"{key.method}-seed-{key.seed:04d}.csv"
-
-
-def sort_keys(keys: set[RunKey]) -> list[RunKey]:
-    """Runs in the order of `METHODS`, other methods after them by name, then by seed."""
-    place = {method: index for index, method in enumerate(METHODS)}
-    return sorted(keys, key=lambda key: (place.get(key.method, len(place)), key))
+        return self.path / "partial" / f"{key.file_name}.csv"
 
 
 def flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -367,11 +339,6 @@ def _changes(document: dict[str, Any], provenance: dict[str, Any]) -> list[str]:
     )
     names = [name for name in old | new if old.get(name) != new.get(name)]
     return [f"{name} {old.get(name)}, now {new.get(name)}" for name in names]
-
-
-def _parse_key(name: str) -> RunKey | None:
-    match = re.fullmatch(r"([a-z0-9][a-z0-9-]*)-seed-(\d{4,})", name)
-    return RunKey(match[1], int(match[2])) if match else None
 
 
 def _to_json(document: dict[str, Any]) -> str:

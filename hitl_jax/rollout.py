@@ -12,10 +12,8 @@ at once, and takes no more time. Nothing a run computes depends on its slot or o
 
 import dataclasses
 import operator
-import time
 from collections import deque
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import chex
 import jax
@@ -29,8 +27,7 @@ from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.episode_log import EpisodeLog
 from hitl_jax.episodes import EpisodeCounter, Row, Step
 from hitl_jax.recording import STEP_COLUMNS, Recording, names_of
-from hitl_jax.replay import Layout
-from hitl_jax.results import RunKey
+from hitl_jax.run_key import RunKey
 from hitl_jax.runs import (
     Divergence,
     FinishedRun,
@@ -41,7 +38,7 @@ from hitl_jax.runs import (
     episode_seed,
     method_index,
 )
-from hitl_jax.saved import CannotReturn, SavedRun, bring_back
+from hitl_jax.saved import SavedRun, between_episodes, bring_back, facts_of, require_shapes
 from hitl_jax.types import Behavior, Params
 
 LAG = 2
@@ -167,7 +164,7 @@ class Rollout:
             totals, alarms = self._counter.state_of(run.slot)
             saved.append(
                 SavedRun(
-                    facts=_facts(run, begun=not self._needs_reset[run.slot]),
+                    facts=facts_of(run, begun=not self._needs_reset[run.slot]),
                     train=words[device][column],
                     acting=acting[run.slot],
                     behavior=np.stack([waiting[device][column] for waiting in learned]),
@@ -242,11 +239,11 @@ class Rollout:
         assert run is not None
         device, column = divmod(slot, self._share)
         seats = self._seats[device]
-        self._check_fit(run.spec, saved)
+        self._check_fit(saved)
         cursor = int(seats.memory.cursor)
         ring = np.zeros((self._config.frames, self._layout.width), np.float32)
         if not self._pool.seedable:
-            saved = _between_episodes(saved, self._layout)
+            saved = between_episodes(saved, self._layout)
         frames = saved.frames[-len(ring) :]
         ring[np.arange(cursor - len(frames), cursor) % len(ring)] = frames
         start = np.int32(cursor - len(frames))
@@ -273,7 +270,7 @@ class Rollout:
         self._seeds[slot] = episode_seed(run.spec.method, run.spec.seed, len(run.episodes))
         self._observation[slot] = saved.observation
 
-    def _check_fit(self, spec: RunSpec, saved: SavedRun) -> None:
+    def _check_fit(self, saved: SavedRun) -> None:
         """Raises CannotReturn unless the arrays are as this agent's are."""
         learned = jax.eval_shape(self._programs.pack_behavior, self._seats[0].train).shape[1]
         words = jax.eval_shape(self._programs.pack_train, self._seats[0].train).shape[1]
@@ -290,9 +287,7 @@ class Rollout:
             "recordings": (len(saved.recordings), self._step_width),
             "snapshots": (len(saved.snapshots), *[learned] * bool(len(saved.snapshots))),
         }
-        fits = all(getattr(saved, name).shape == shape for name, shape in expected.items())
-        if not fits:
-            raise CannotReturn(f"{spec.method} seed {spec.seed} was saved by another program")
+        require_shapes(saved, expected)
 
     def _behaviors(self, rows: np.ndarray) -> list[Behavior]:
         """What acting needs, from packed rows [K, B]."""
@@ -328,15 +323,17 @@ class Rollout:
                 self._acting, self._behavior, self._observation, live
             )
             decided = np.asarray(packed)
-            for name in ("observation", "action", "boundary"):
-                part = decided[:, getattr(self._layout, name)]
-                self._stop_diverged(name, _finite_rows(part) | ~live)
-            live &= self._active
+            if not np.isfinite(decided[live]).all():
+                for name in ("observation", "action", "boundary"):
+                    part = decided[:, getattr(self._layout, name)]
+                    self._stop_diverged(name, _finite_rows(part) | ~live)
+                live &= self._active
             command = np.where(live, Command.STEP, Command.IDLE).astype(np.uint8)
             command[self._active & self._needs_reset] = Command.RESET
             answer = self._pool.step(command, decided[:, self._layout.action], self._seeds)
-            self._stop_diverged("reward", np.isfinite(answer.reward) | ~live)
-            live &= self._active
+            if not np.isfinite(answer.reward).all():
+                self._stop_diverged("reward", np.isfinite(answer.reward) | ~live)
+                live &= self._active
             frames[:, tick] = decided[:, : self._layout.width]
             self._record(live, decided, answer, frames[:, tick])
             self._observation = answer.observation
@@ -442,41 +439,6 @@ def _finite_rows(*arrays: chex.Array) -> np.ndarray:
     """Whether all that arrays [R, ...] hold of a run is finite, bool [R]."""
     rows = [np.isfinite(np.asarray(array)).reshape(len(array), -1) for array in arrays]
     return np.all([row.all(axis=1) for row in rows], axis=0)
-
-
-def _facts(run: Run, begun: bool) -> dict[str, Any]:
-    """What JSON can hold of a run; `begun` says whether an episode is under way."""
-    return {
-        "method": run.spec.method,
-        "seed": run.spec.seed,
-        "ticks": run.ticks,
-        "env_steps": run.env_steps,
-        "updates": run.updates,
-        "seconds": time.monotonic() - run.started,
-        "begun": bool(begun),
-        "diverged": run.diverged,
-        "recordings": recording.index(run.recordings),
-        "episodes": list(run.episodes),
-    }
-
-
-def _between_episodes(saved: SavedRun, layout: Layout) -> SavedRun:
-    """The run at the end of its last episode: the walker of the next cannot be brought back.
-
-    The steps that it took stay in the replay, as of an episode that was cut off, and so do those of
-    the times before that the run was taken up.
-    """
-    frames = saved.frames.copy()
-    stepped = frames[:, layout.final] == 0
-    open_end = stepped & (frames[:, layout.terminated] == 0) & (frames[:, layout.truncated] == 0)
-    frames[open_end & ~np.append(stepped[1:], False), layout.truncated] = 1.0
-    return saved._replace(
-        facts=saved.facts | {"begun": False},
-        frames=frames,
-        steps=saved.steps[:0],
-        totals=np.zeros_like(saved.totals),
-        alarms=np.zeros_like(saved.alarms),
-    )
 
 
 def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:

@@ -12,7 +12,7 @@ from hitl_jax.config import Method, RunHyper, require
 from hitl_jax.devices import learning_devices
 from hitl_jax.episodes import Row, fall_at_once
 from hitl_jax.recording import Recording
-from hitl_jax.results import RunKey
+from hitl_jax.run_key import RunKey
 from hitl_jax.types import Behavior, Params
 
 

@@ -4,14 +4,18 @@ A Box2D world cannot be saved, but an episode is its reset seed and its actions:
 brought back by playing them again.
 """
 
+import time
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from hitl_jax import recording
 from hitl_jax.envs import WalkerPool
 from hitl_jax.episode_log import playback
 from hitl_jax.files import ResultsError
+from hitl_jax.replay import Layout
+from hitl_jax.runs import Run
 
 
 class SavedRun(NamedTuple):
@@ -84,3 +88,53 @@ def bring_back(
             f"{len(changed)} of {len(walkers)} walkers did not come back as they were; "
             "was the sweep begun with another version of Box2D or gymnasium?"
         )
+
+
+def facts_of(run: Run, begun: bool) -> dict[str, Any]:
+    """What JSON can hold of a run; `begun` says whether an episode is under way."""
+    return {
+        "method": run.spec.method,
+        "seed": run.spec.seed,
+        "ticks": run.ticks,
+        "env_steps": run.env_steps,
+        "updates": run.updates,
+        "seconds": time.monotonic() - run.started,
+        "begun": bool(begun),
+        "diverged": run.diverged,
+        "recordings": recording.index(run.recordings),
+        "episodes": list(run.episodes),
+    }
+
+
+def between_episodes(saved: SavedRun, layout: Layout) -> SavedRun:
+    """The run at the end of its last episode: the walker of the next cannot be brought back.
+
+    The steps that it took stay in the replay, as of an episode that was cut off, and so do those of
+    the times before that the run was taken up.
+    """
+    frames = saved.frames.copy()
+    stepped = frames[:, layout.final] == 0
+    open_end = stepped & (frames[:, layout.terminated] == 0) & (frames[:, layout.truncated] == 0)
+    frames[open_end & ~np.append(stepped[1:], False), layout.truncated] = 1.0
+    return saved._replace(
+        facts=saved.facts | {"begun": False},
+        frames=frames,
+        steps=saved.steps[:0],
+        totals=np.zeros_like(saved.totals),
+        alarms=np.zeros_like(saved.alarms),
+    )
+
+
+def require_shapes(saved: SavedRun, expected: Mapping[str, tuple[int, ...]]) -> None:
+    """Refuses a run whose arrays are not as they must be.
+
+    Args:
+        saved: the run.
+        expected: shapes by field.
+
+    Raises:
+        CannotReturn: if another program, or one of other options, has saved it.
+    """
+    if any(getattr(saved, name).shape != shape for name, shape in expected.items()):
+        facts = saved.facts
+        raise CannotReturn(f"{facts['method']} seed {facts['seed']} was saved by another program")

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hitl_jax.files import ResultsError, named_errors, remove_leftovers, write_bytes_atomic
-from hitl_jax.results import RunKey
+from hitl_jax.run_key import RunKey
 from hitl_jax.saved import SavedRun
 from hitl_jax.tables import EPISODE_COLUMNS, table_from_csv, table_to_csv, to_columns, to_table
 
@@ -139,7 +139,7 @@ class Saves:
             csv = _to_text(arrays[f"{index}/episodes"])
             table = {k: v.tolist() for k, v in table_from_csv(csv, EPISODE_COLUMNS).items()}
             rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
-            name = _key_name(key)
+            name = key.file_name
             frames = np.concatenate([file[name] for file in files.values() if name in file])
             if len(frames) < min(facts["ticks"], self._capacity):
                 raise ValueError(f"lacks frames of {key}")
@@ -173,11 +173,7 @@ def _reaching_back(lengths: Lengths, needed: dict[str, int]) -> Lengths:
 
 
 def _name(run: SavedRun) -> str:
-    return _key_name(RunKey(run.facts["method"], run.facts["seed"]))
-
-
-def _key_name(key: RunKey) -> str:
-    return f"{key.method}-seed-{key.seed:04d}"
+    return RunKey(run.facts["method"], run.facts["seed"]).file_name
 
 
 def _write(path: pathlib.Path, arrays: dict[str, np.ndarray]) -> None:

@@ -14,8 +14,10 @@ from test_saves import _run as make_saved
 from experiments.cli import BadInput, checking_input, parse
 from experiments.options import SweepOptions
 from hitl_jax import files
+from hitl_jax.files import ResultsError
 from hitl_jax.recording import Recording
-from hitl_jax.results import ResultsError, ResultsFolder, RunKey
+from hitl_jax.results import ResultsFolder
+from hitl_jax.run_key import RunKey
 from hitl_jax.saves import Saves
 from hitl_jax.summary import write_summary
 

@@ -13,7 +13,8 @@ from experiments.trained import agent_of, load_trained
 from hitl_jax import agent as agents
 from hitl_jax import checkpoint
 from hitl_jax.config import AgentConfig, Hyper
-from hitl_jax.results import ResultsFolder, RunKey
+from hitl_jax.results import ResultsFolder
+from hitl_jax.run_key import RunKey
 from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
 
 _KEY = RunKey("hitl-ac", 0)

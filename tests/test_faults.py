@@ -8,7 +8,8 @@ from test_results import CONFIG, KEY, save
 
 from experiments.cli import run_main
 from experiments.faults import FaultOptions, _differences, main
-from hitl_jax.results import ResultsFolder, RunKey
+from hitl_jax.results import ResultsFolder
+from hitl_jax.run_key import RunKey
 
 
 @pytest.fixture

@@ -13,8 +13,9 @@ from experiments import figures as command
 from experiments.cli import run_main
 from hitl_jax import figures
 from hitl_jax.figures import draw_all
-from hitl_jax.results import EPISODE_COLUMNS, METHODS, TEST_COLUMNS, ResultsFolder, RunKey
-from hitl_jax.tables import PROGRESS_COLUMNS
+from hitl_jax.results import ResultsFolder
+from hitl_jax.run_key import RunKey
+from hitl_jax.tables import EPISODE_COLUMNS, METHODS, PROGRESS_COLUMNS, TEST_COLUMNS
 
 INFO = {"config": {}, "versions": {}, "commit": None, "updates": 1}
 NAMES = (

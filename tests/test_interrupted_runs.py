@@ -13,8 +13,8 @@ from toy import ToyPool
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs import Command
-from hitl_jax.results import RunKey
 from hitl_jax.rollout import Rollout
+from hitl_jax.run_key import RunKey
 from hitl_jax.runs import LoopConfig, RunSpec, episode_seed
 from hitl_jax.saved import CannotReturn
 from hitl_jax.saves import Saves

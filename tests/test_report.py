@@ -11,7 +11,8 @@ from experiments import report
 from experiments.cli import run_main
 from experiments.reports.claims import HOLDS, HOLDS_NOT, UNDECIDED, Results, judge
 from experiments.reports.starts import judge_starts
-from hitl_jax.results import Run, RunKey
+from hitl_jax.results import Run
+from hitl_jax.run_key import RunKey
 from hitl_jax.summary import skill_over_training
 from hitl_jax.tables import EPISODE_COLUMNS, PROGRESS_COLUMNS, TEST_COLUMNS, to_table
 

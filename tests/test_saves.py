@@ -5,7 +5,7 @@ import pytest
 from test_results import make_episodes
 
 from hitl_jax.files import ResultsError
-from hitl_jax.results import RunKey
+from hitl_jax.run_key import RunKey
 from hitl_jax.saved import SavedRun
 from hitl_jax.saves import Saves
 

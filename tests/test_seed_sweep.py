@@ -22,7 +22,8 @@ from experiments.cli import run_main
 from experiments.options import SweepOptions
 from experiments.seed_sweep import _Sweep, main
 from hitl_jax.evaluation import Evaluator
-from hitl_jax.results import ResultsFolder, RunKey
+from hitl_jax.results import ResultsFolder
+from hitl_jax.run_key import RunKey
 from hitl_jax.tables import select, table_to_csv
 
 _SMALL = [

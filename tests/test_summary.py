@@ -6,8 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hitl_jax.results import EPISODE_COLUMNS, TEST_COLUMNS, ResultsFolder, RunKey
+from hitl_jax.results import ResultsFolder
+from hitl_jax.run_key import RunKey
 from hitl_jax.summary import SUMMARY_COLUMNS, summarise, write_summary
+from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
 
 INFO = {"config": {}, "versions": {}, "commit": None, "env_steps": 1, "updates": 1}
 
