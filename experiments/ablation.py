@@ -25,10 +25,11 @@ from experiments.compile_cache import keep_programs
 from experiments.progress import Progress
 from experiments.signals import Interrupted
 from experiments.training import Plant, make_team, train_and_test
+from experiments.under_way import UnderWay
 from hitl_jax import stats
-from hitl_jax.config import Method, hyper_for, require
+from hitl_jax.config import Hyper, Method, hyper_for, require
 from hitl_jax.figure_parts import paper_style, save
-from hitl_jax.files import ResultsError, write_text_atomic
+from hitl_jax.files import ResultsError, locked, write_text_atomic
 from hitl_jax.provenance import git_commit, short_commit
 from hitl_jax.results import Run
 from hitl_jax.rollout import Rollout
@@ -52,7 +53,7 @@ class AblationOptions:
         episodes: training episodes of a run.
         test_episodes: test episodes of a run, alone and again with the human.
         out: folder of the results: `runs.csv`, and a table and a figure for each ablation. An
-            interrupted ablation goes on in the same folder with the runs that are not finished.
+            interrupted ablation goes on in the same folder where it was.
     """
 
     name: tyro.conf.Positional[str]
@@ -78,21 +79,27 @@ def main(options: AblationOptions) -> int:
         The exit code: 0, 130 after Ctrl-C, or 143 after SIGTERM.
     """
     out = pathlib.Path(options.out)
-    with checking_input():
-        names = _names(options)
-        try:
-            store = Store(out / "runs.csv")
-            store.write()  # A folder that cannot be written is noticed now.
-        except ResultsError as error:
-            raise BadInput(f"--out {error}") from error
+    with contextlib.ExitStack() as held:
+        with checking_input():
+            names = _names(options)
+            try:
+                held.enter_context(locked(out))
+                store = Store(out / "runs.csv")
+                store.write()  # A folder that cannot be written is noticed now.
+            except ResultsError as error:
+                raise BadInput(f"--out {error}") from error
+        return _make_runs(names, options, store)
+
+
+def _make_runs(names: list[str], options: AblationOptions, store: Store) -> int:
+    """Makes the runs that the store lacks, and draws; the exit code."""
     keep_programs()
     code = 0
     try:
         _run(names, options, store)
     except Interrupted as stop:
         print(
-            f"\nStopped. Finished runs are in {store.path}; the same command goes on with the "
-            "others, from their beginning.",
+            f"\nStopped. Finished runs are in {store.path}; the same command goes on where it was.",
             flush=True,
         )
         code = stop.exit_code
@@ -124,8 +131,7 @@ def _run(names: list[str], options: AblationOptions, store: Store) -> None:
 
     programs: dict[str, dict[RunId, Parts]] = {}
     for run, parts in missing.items():
-        program = repr((parts.agent, parts.loop, parts.human_policy))
-        programs.setdefault(program, {})[run] = parts
+        programs.setdefault(_program(parts), {})[run] = parts
     commit = short_commit(git_commit())  # Of the code that is loaded, whatever is committed later.
     methods = [m for m in Method if any(run.method == m for run in missing)]
     with Progress(methods, len(missing), options.episodes, 0) as progress:
@@ -144,25 +150,38 @@ def _run_group(
     runs: dict[RunSpec, RunId] = {}
     for run, parts in sorted(group.items(), key=lambda item: item[0].seed):
         hyper = hyper_for(Method(run.method), parts.hyper)
-        runs[RunSpec(Method(run.method), run.seed, hyper, options.episodes)] = run
+        spec = RunSpec(Method(run.method), run.seed, hyper, options.episodes, setting=run.digest)
+        runs[spec] = run
+    one = next(iter(group.values()))
+    agent = make_team(one.agent, one.human_policy)
+    plant = Plant(_BACKEND, num_slots(len(runs), _SLOTS), None, options.test_episodes)
+    under_way = UnderWay(store.path.parent / f"under_way-{_program(one)}", one.loop.frames)
+    going_on = under_way.take({run.key for run in group}, store.keys(), progress.say)
 
     def watch(rollout: Rollout) -> None:
         progress.show(rollout.runs())
+        under_way.watch(rollout)
 
-    program = next(iter(group.values()))
-    agent = make_team(program.agent, program.human_policy)
-    plant = Plant(_BACKEND, num_slots(len(runs), _SLOTS), None, options.test_episodes)
-    with contextlib.closing(
-        train_and_test(agent, list(runs), program.loop, plant, watch)
-    ) as tested:
-        for finished, tests, _ in tested:
-            run = runs[finished.run.spec]
-            row = _summary(finished, tests)
-            store.add(run, row | {"commit": commit})
-            progress.finish(finished.run)
-            alone = row["test_return_mean"]
-            setting = run.setting or "defaults"
-            progress.say(f"finished {setting}, {run.method} seed {run.seed}: test {alone:.1f}")
+    tested = train_and_test(agent, list(runs), one.loop, plant, watch, going_on)
+    try:
+        with contextlib.closing(tested):
+            for finished, tests, _ in tested:
+                run = runs[finished.run.spec]
+                row = _summary(finished, tests)
+                store.add(run, row | {"commit": commit})
+                progress.finish(finished.run)
+                alone = row["test_return_mean"]
+                setting = run.setting or "defaults"
+                progress.say(f"finished {setting}, {run.method} seed {run.seed}: test {alone:.1f}")
+    except Interrupted:
+        under_way.save()
+        raise
+    under_way.end()
+
+
+def _program(parts: Parts) -> str:
+    """Twelve digits, equal for runs that one compiled program can train."""
+    return digest(parts._replace(hyper=Hyper()), {})
 
 
 def _parts(ablation: Ablation) -> Iterator[tuple[Setting, Parts]]:

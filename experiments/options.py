@@ -5,6 +5,7 @@ from typing import Annotated
 
 import tyro
 
+from experiments.under_way import SAVE_SECONDS
 from hitl_jax.config import AgentConfig, Hyper, Method, require, validate_hyper
 from hitl_jax.envs import BACKENDS
 from hitl_jax.runs import LoopConfig
@@ -61,7 +62,7 @@ class SweepOptions:
     workers: int | None = None
     slots: int = 32
     human_policy: str | None = None
-    save_seconds: float = 120.0
+    save_seconds: float = SAVE_SECONDS
     out: str = "runs/sweep"
     agent: Annotated[AgentConfig, tyro.conf.arg(name="")] = AgentConfig()
     loop: Annotated[LoopConfig, tyro.conf.arg(name="")] = LoopConfig()

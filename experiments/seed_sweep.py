@@ -22,6 +22,7 @@ from experiments.options import SweepOptions
 from experiments.progress import Progress
 from experiments.signals import Interrupted
 from experiments.training import Plant, Tested, make_team, policy_digest, train_and_test
+from experiments.under_way import UnderWay
 from hitl_jax import checkpoint, figures, stats
 from hitl_jax.agent import Agent
 from hitl_jax.config import Method, hyper_for
@@ -33,10 +34,7 @@ from hitl_jax.files import ResultsError, locked
 from hitl_jax.provenance import git_commit, processor, versions
 from hitl_jax.results import ResultsFolder
 from hitl_jax.rollout import Rollout
-from hitl_jax.run_key import RunKey
 from hitl_jax.runs import RunSpec, num_slots
-from hitl_jax.saved import SavedRun
-from hitl_jax.saves import Saves
 from hitl_jax.summary import write_summary
 from hitl_jax.tables import EPISODE_COLUMNS, PROGRESS_COLUMNS, TEST_COLUMNS, to_columns
 
@@ -101,7 +99,7 @@ def _make_runs(
         sweep.run()
     except Interrupted as stop:
         sweep.stop_drawing()
-        sweep.save()
+        sweep.under_way.save()
         sweep.save_partial()
         _draw(folder)
         print(
@@ -137,13 +135,12 @@ class _Sweep:
         self._folder = folder
         self._config = config
         self._specs = specs
-        self._rollout: Rollout | None = None
-        self._saves = Saves(folder.path / "under_way", options.loop.frames)
-        self._left_alone: list[SavedRun] = []
+        self.under_way = UnderWay(
+            folder.path / "under_way", options.loop.frames, options.save_seconds
+        )
         self._drawing: subprocess.Popen | None = None
         self._started = time.monotonic()
         self._draw_at = self._started + FIRST_FIGURES_SECONDS
-        self._save_at = self._started + options.save_seconds
         self._provenance = {
             "versions": versions(),
             "commit": git_commit(),
@@ -161,9 +158,8 @@ class _Sweep:
         # A sweep that was killed after its last run may have left saves: whole ones, which runs of
         # other commands may need, or what there is no use for.
         with contextlib.suppress(ResultsError):
-            self._take_saved()
-        if not self._left_alone:
-            self._saves.remove()
+            self.under_way.take((), self._folder.finished(), self._progress.say)
+        self.under_way.end()
 
     def _run(self) -> None:
         options = self._options
@@ -175,51 +171,26 @@ class _Sweep:
                 f"{len(self._specs)} runs in {slots} slots on {len(devices)} {devices[0].platform} "
                 f"devices; results in {options.out}"
             )
-            going_on = self._take_saved()
-            if going_on:
-                progress.say(f"{len(going_on)} runs go on where they were saved")
+            asked = {spec.key for spec in self._specs}
+            going_on = self.under_way.take(asked, self._folder.finished(), progress.say)
             tested = train_and_test(
                 self._agent, self._specs, options.loop, plant, self._watch, going_on
             )
             with contextlib.closing(tested):
                 for run in tested:
                     self._finish(run)
-        if not self._left_alone:
-            self._saves.remove()
+        self.under_way.end()
         if self._drawing is not None:
             self._drawing.wait()
 
-    def _take_saved(self) -> dict[RunKey, SavedRun]:
-        """The runs to go on with; those that were not asked for are put aside."""
-        saved, notes = self._saves.load()
-        for note in notes:
-            self._progress.say(f"a save cannot be used: {note}")
-        asked = {spec.key for spec in self._specs}
-        going_on = {}
-        for key, run in saved.items():
-            if key in asked:
-                going_on[key] = run
-            elif key not in self._folder.finished():
-                self._left_alone.append(run.without_new_frames())
-        return going_on
-
-    def save(self) -> None:
-        """Writes all that the runs under way need to go on."""
-        if self._rollout is not None:
-            # Finished runs among them are not asked for when the sweep goes on.
-            self._saves.write([*self._rollout.save(), *self._left_alone])
-            self._save_at = time.monotonic() + self._options.save_seconds
-
     def _watch(self, rollout: Rollout) -> None:
-        self._rollout = rollout
         self._progress.show(rollout.runs())
-        if time.monotonic() >= self._save_at:
-            self.save()
+        self.under_way.watch(rollout)
         self._draw_now_and_then()
 
     def save_partial(self) -> None:
         """Writes, for the figures, the episodes of the runs that are not finished."""
-        for run in self._rollout.runs() if self._rollout else []:
+        for run in self.under_way.runs():
             key = run.spec.key
             if run.episodes and key not in self._folder.finished():
                 self._folder.write_partial(key, to_columns(run.episodes, EPISODE_COLUMNS))

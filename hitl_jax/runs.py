@@ -67,6 +67,7 @@ class RunSpec:
         hyper: hyperparameters, host scalars.
         episodes: training episodes after which the run is done.
         snapshots: rising numbers of training episodes at which a `Snapshot` is kept.
+        setting: tells runs of one method and seed apart, see `RunKey`.
     """
 
     method: Method
@@ -74,11 +75,12 @@ class RunSpec:
     hyper: RunHyper
     episodes: int
     snapshots: tuple[int, ...] = ()
+    setting: str = ""
 
     @property
     def key(self) -> RunKey:
         """Its name."""
-        return RunKey(str(self.method), self.seed)
+        return RunKey(str(self.method), self.seed, self.setting)
 
 
 class Snapshot(NamedTuple):

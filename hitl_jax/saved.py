@@ -4,6 +4,7 @@ A Box2D world cannot be saved, but an episode is its reset seed and its actions:
 brought back by playing them again.
 """
 
+import dataclasses
 import time
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ from hitl_jax.envs import WalkerPool
 from hitl_jax.episode_log import playback
 from hitl_jax.files import ResultsError
 from hitl_jax.replay import Layout
+from hitl_jax.run_key import RunKey
 from hitl_jax.runs import Run
 
 
@@ -22,7 +24,7 @@ class SavedRun(NamedTuple):
     """A run between two chunks.
 
     Attributes:
-        facts: what JSON can hold: method, seed, counters, and a row for each ended episode.
+        facts: what JSON can hold: its name, counters, and a row for each ended episode.
         train: training state, packed, uint32 [P].
         acting: acting state, packed, uint32 [S].
         behavior: what acting will need of the parameters in the coming chunks, one after the other,
@@ -50,6 +52,11 @@ class SavedRun(NamedTuple):
     totals: np.ndarray
     alarms: np.ndarray
     frames: np.ndarray
+
+    @property
+    def key(self) -> RunKey:
+        """Its name."""
+        return RunKey(*(self.facts[name] for name in ("method", "seed", "setting")))
 
     def without_new_frames(self) -> "SavedRun":
         """To be saved again as it is."""
@@ -93,8 +100,7 @@ def bring_back(
 def facts_of(run: Run, begun: bool) -> dict[str, Any]:
     """What JSON can hold of a run; `begun` says whether an episode is under way."""
     return {
-        "method": run.spec.method,
-        "seed": run.spec.seed,
+        **dataclasses.asdict(run.spec.key),
         "ticks": run.ticks,
         "env_steps": run.env_steps,
         "updates": run.updates,
@@ -136,5 +142,4 @@ def require_shapes(saved: SavedRun, expected: Mapping[str, tuple[int, ...]]) -> 
         CannotReturn: if another program, or one of other options, has saved it.
     """
     if any(getattr(saved, name).shape != shape for name, shape in expected.items()):
-        facts = saved.facts
-        raise CannotReturn(f"{facts['method']} seed {facts['seed']} was saved by another program")
+        raise CannotReturn(f"{saved.key} was saved by another program")

@@ -25,7 +25,7 @@ from hitl_jax.run_key import RunKey
 from hitl_jax.saved import SavedRun
 from hitl_jax.tables import EPISODE_COLUMNS, table_from_csv, table_to_csv, to_columns, to_table
 
-FORMAT = 1
+FORMAT = 2
 
 _DIGEST_SIZE = 16  # bytes
 _ARRAYS = tuple(name for name in SavedRun._fields if name not in ("facts", "frames"))
@@ -85,7 +85,7 @@ class Saves:
         with named_errors(self._path):
             self._path.mkdir(exist_ok=True)  # Not its parents: results that vanished stay away.
         number = self._number + 1
-        names = [_name(run) for run in runs]
+        names = [run.key.file_name for run in runs]
         new = dict(zip(names, (run.frames for run in runs), strict=True))
         before = self._lengths
         lengths = before | {number: {name: len(frames) for name, frames in new.items()}}
@@ -134,17 +134,17 @@ class Saves:
                 raise ValueError(f"{self._file('frames', number)} is of another save")
         runs = {}
         for index, facts in enumerate(head["runs"]):
-            key = RunKey(facts["method"], facts["seed"])
             parts = {name: arrays[f"{index}/{name}"] for name in _ARRAYS}
             csv = _to_text(arrays[f"{index}/episodes"])
             table = {k: v.tolist() for k, v in table_from_csv(csv, EPISODE_COLUMNS).items()}
             rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
-            name = key.file_name
+            saved = SavedRun(facts | {"episodes": rows}, frames=np.array([]), **parts)
+            name = saved.key.file_name
             frames = np.concatenate([file[name] for file in files.values() if name in file])
             if len(frames) < min(facts["ticks"], self._capacity):
-                raise ValueError(f"lacks frames of {key}")
+                raise ValueError(f"lacks frames of {saved.key}")
             frames = frames[-min(facts["ticks"], self._capacity) :]
-            runs[key] = SavedRun(facts | {"episodes": rows}, frames=frames, **parts)
+            runs[saved.key] = saved._replace(frames=frames)
         return runs, lengths
 
     def _keep(self, kind: str, numbers: set[int]) -> None:
@@ -170,10 +170,6 @@ def _reaching_back(lengths: Lengths, needed: dict[str, int]) -> Lengths:
         for name, length in lengths[number].items():
             needed[name] = needed.get(name, 0) - length
     return kept
-
-
-def _name(run: SavedRun) -> str:
-    return RunKey(run.facts["method"], run.facts["seed"]).file_name
 
 
 def _write(path: pathlib.Path, arrays: dict[str, np.ndarray]) -> None:

@@ -1,6 +1,7 @@
 """The command that takes the team apart: its runs, table, figure, resuming, and bad input."""
 
 import csv
+import itertools
 import shutil
 
 import numpy as np
@@ -8,13 +9,14 @@ import pytest
 
 from experiments import ablation
 from experiments.ablations.settings import ABLATIONS, Ablation, Setting
-from experiments.ablations.store import RunId, Store, digest
+from experiments.ablations.store import Store, digest
 from experiments.ablations.table import Line, to_markdown
 from experiments.changes import changed
 from experiments.cli import run_main
+from experiments.progress import Progress
 from experiments.signals import Interrupted
 from hitl_jax.config import Hyper, Method, hyper_for
-from hitl_jax.files import ResultsError
+from hitl_jax.files import ResultsError, locked
 from hitl_jax.runs import Divergence, FinishedRun, Run, RunSpec
 
 _SMALL = {"hidden_sizes": (8,), "batch_size": 8, "capacity": 400, "warmup_steps": 40}
@@ -40,6 +42,17 @@ def _lines(out):
 def _add_tiny(patch):
     patch.setitem(ABLATIONS, "tiny", _TINY)
     patch.setitem(ABLATIONS, "tiny-too", Ablation("Tiny too", _TINY.settings[:1]))
+
+
+def _stop_at(chunk):
+    """In place of what shows the progress: Ctrl-C in a chunk."""
+    chunks = itertools.count(1)
+
+    def show(*_):
+        if next(chunks) == chunk:
+            raise Interrupted
+
+    return show
 
 
 @pytest.fixture(scope="module")
@@ -85,15 +98,32 @@ def test_what_is_done_is_not_done_again(copied, capsys):
     assert again == whole
 
 
-def test_what_is_done_when_it_is_stopped_is_kept(copied, capsys, monkeypatch):
-    def stopped(*_):
-        raise Interrupted
-
-    monkeypatch.setattr(ablation, "train_and_test", stopped)
-    before = (copied / "runs.csv").read_text()
-    assert _run(copied, "tiny", "--seeds", "2") == 130
+def test_what_is_under_way_when_it_is_stopped_goes_on(made, tmp_path, capsys, monkeypatch):
+    _add_tiny(monkeypatch)
+    with monkeypatch.context() as patch:
+        patch.setattr(Progress, "show", _stop_at(5))
+        assert _run(tmp_path, "tiny") == 130
     assert "Stopped" in capsys.readouterr().out
-    assert (copied / "runs.csv").read_text() == before
+    assert _lines(tmp_path) == []
+    assert _run(tmp_path, "tiny") == 0
+    assert "3 runs go on where they were saved" in capsys.readouterr().out
+    assert not list(tmp_path.glob("under_way*"))
+    lines = [_lines(made), _lines(tmp_path)]
+    for line in itertools.chain(*lines):
+        del line["wall_seconds"]
+    assert lines[0] == lines[1]
+
+
+def test_saves_of_one_ablation_leave_those_of_another_alone(tmp_path, capsys, monkeypatch):
+    _add_tiny(monkeypatch)
+    with monkeypatch.context() as patch:
+        patch.setattr(Progress, "show", _stop_at(3))
+        assert _run(tmp_path, "tiny") == 130
+    assert _run(tmp_path, "tiny-too") == 0
+    assert "2 runs go on where they were saved" in capsys.readouterr().out
+    assert _run(tmp_path, "tiny") == 0
+    assert "1 runs go on where they were saved" in capsys.readouterr().out
+    assert not list(tmp_path.glob("under_way*"))
 
 
 def test_a_run_that_diverged_is_marked():
@@ -157,15 +187,10 @@ def test_values_that_are_not_allowed_are_refused():
         changed({"delay": 40})
 
 
-def test_two_processes_do_not_lose_each_others_runs(copied):
-    path = copied / "runs.csv"
-    one, other = Store(path), Store(path)
-    row = dict.fromkeys(_lines(copied)[0].keys() - {"setting", "method", "seed", "digest"}, 1.0)
-    one.add(RunId("one", "srl", 7, "d"), row)
-    other.add(RunId("other", "srl", 7, "d"), row)
-    both = Store(path)
-    assert RunId("one", "srl", 7, "d") in both
-    assert RunId("other", "srl", 7, "d") in both
+def test_a_folder_that_is_in_use_is_refused(copied, capsys):
+    with locked(copied):
+        assert _run(copied, "tiny") == 2
+    assert f"error: --out {copied}: is in use by process" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "{}"])

@@ -14,7 +14,6 @@ from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs import Command
 from hitl_jax.rollout import Rollout
-from hitl_jax.run_key import RunKey
 from hitl_jax.runs import LoopConfig, RunSpec, episode_seed
 from hitl_jax.saved import CannotReturn
 from hitl_jax.saves import Saves
@@ -104,7 +103,7 @@ def test_runs_that_ended_when_they_were_saved_are_given_at_once(uninterrupted):
     for done in rollout:
         if done:
             ended = {run.run.spec.key for run in done}
-            every = {RunKey(run.facts["method"], run.facts["seed"]): run for run in rollout.save()}
+            every = {run.key: run for run in rollout.save()}
             saved |= {key: every[key] for key in ended}
     given = [run for done in _rollout(_SPECS, 2, saved) for run in done]
     assert saved == {}

@@ -1,5 +1,7 @@
 """Saves on disk: what comes back, what is kept, and what damage does."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from test_results import make_episodes
@@ -17,7 +19,7 @@ def _run(ticks, new, key=_KEY):
     """A run after so many ticks, with its latest frames; frame t holds the number t."""
     columns = {name: np.asarray(values).tolist() for name, values in make_episodes().items()}
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-    facts = {"method": key.method, "seed": key.seed, "ticks": ticks, "episodes": rows}
+    facts = {**dataclasses.asdict(key), "ticks": ticks, "episodes": rows}
     return SavedRun(
         facts=facts,
         train=np.arange(3, dtype=np.uint32),

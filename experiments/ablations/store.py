@@ -11,6 +11,7 @@ from typing import Any
 from experiments.changes import Parts
 from experiments.training import policy_digest
 from hitl_jax.files import ResultsError, named_errors, write_text_atomic
+from hitl_jax.run_key import RunKey
 from hitl_jax.summary import SUMMARY_COLUMNS
 
 Row = dict[str, Any]
@@ -36,6 +37,11 @@ class RunId:
     seed: int
     digest: str
 
+    @property
+    def key(self) -> RunKey:
+        """Its name among runs that are trained side by side."""
+        return RunKey(self.method, self.seed, self.digest)
+
 
 _ADDED: dict[str, Any] = {}
 """Options added since the first runs were kept, by the value that changes nothing."""
@@ -55,7 +61,7 @@ class Store:
     """The runs of a file. Lines of other defaults or budgets stay in it, and are not looked at.
 
     Args:
-        path: the file, there or not.
+        path: the file, there or not; it has one writer.
     """
 
     def __init__(self, path: pathlib.Path):
@@ -68,13 +74,17 @@ class Store:
     def __getitem__(self, run: RunId) -> Row:
         return self._rows[run]
 
+    def keys(self) -> set[RunKey]:
+        """The names of all its runs."""
+        return {run.key for run in self._rows}
+
     def add(self, run: RunId, row: Row) -> None:
-        """Adds a run, and writes the file, with what another process has added to it.
+        """Adds a run, and writes the file.
 
         Raises:
-            ResultsError: if it cannot be read or written.
+            ResultsError: if it cannot be written.
         """
-        self._rows = _read(self.path) | self._rows | {run: row}
+        self._rows |= {run: row}
         self.write()
 
     def write(self) -> None:

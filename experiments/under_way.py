@@ -1,0 +1,87 @@
+"""Runs that are trained side by side, saved now and then, so that what is stopped can go on."""
+
+import pathlib
+import time
+from collections.abc import Callable, Collection
+
+from hitl_jax.rollout import Rollout
+from hitl_jax.run_key import RunKey
+from hitl_jax.runs import Run
+from hitl_jax.saved import SavedRun
+from hitl_jax.saves import Saves
+
+SAVE_SECONDS = 120.0
+"""How often runs are saved [s]: what a killed process loses at most."""
+
+
+class UnderWay:
+    """A folder of saves and the rollout that is saved there.
+
+    Args:
+        path: the folder, there or not.
+        capacity: frames that a run's replay holds.
+        seconds: how often runs are saved [s].
+    """
+
+    def __init__(self, path: pathlib.Path, capacity: int, seconds: float = SAVE_SECONDS):
+        self._saves = Saves(path, capacity)
+        self._seconds = seconds
+        self._rollout: Rollout | None = None
+        self._left_alone: list[SavedRun] = []
+        self._save_at = time.monotonic() + seconds
+
+    def take(
+        self, asked: Collection[RunKey], finished: Collection[RunKey], say: Callable[[str], None]
+    ) -> dict[RunKey, SavedRun]:
+        """Reads what was saved.
+
+        Args:
+            asked: the runs that are wanted.
+            finished: the runs that need not go on.
+            say: is told what was found.
+
+        Returns:
+            The wanted runs that were saved. Other commands may need the runs that were not asked
+            for: they stay in the folder.
+
+        Raises:
+            ResultsError: if there are saves, and none can be read.
+        """
+        saved, notes = self._saves.load()
+        for note in notes:
+            say(f"a save cannot be used: {note}")
+        others = saved.keys() - set(asked) - set(finished)
+        self._left_alone = [saved[key].without_new_frames() for key in sorted(others)]
+        going_on = {key: run for key, run in saved.items() if key in asked}
+        if going_on:
+            say(f"{len(going_on)} runs go on where they were saved")
+        return going_on
+
+    def watch(self, rollout: Rollout) -> None:
+        """To be called after each chunk; saves if it is time to.
+
+        Raises:
+            ResultsError: if the disk refuses.
+        """
+        self._rollout = rollout
+        if time.monotonic() >= self._save_at:
+            self.save()
+
+    def save(self) -> None:
+        """Writes all that the runs need to go on; those that have finished meanwhile as well.
+
+        Raises:
+            ResultsError: if the disk refuses; the save before still counts.
+        """
+        if self._rollout is not None:
+            self._saves.write([*self._rollout.save(), *self._left_alone])
+            self._save_at = time.monotonic() + self._seconds
+
+    def runs(self) -> list[Run]:
+        """The runs that `watch` saw last."""
+        return self._rollout.runs() if self._rollout else []
+
+    def end(self) -> None:
+        """Removes the folder when all has finished, but for runs that other commands may need."""
+        if not self._left_alone:
+            self._saves.remove()
