@@ -47,7 +47,7 @@ class AblationOptions:
 
     Attributes:
         name: one of methods, intervention, feedback, source, delta, initial-boundary, indicator,
-            human-delay, human-mistakes, human-attention, arbiter; or `all`.
+            human-tolerance, human-delay, human-mistakes, human-attention, arbiter; or `all`.
         seeds: number of seeds for each setting.
         first_seed: the first of them.
         episodes: training episodes of a run.

@@ -134,6 +134,15 @@ ABLATIONS: dict[str, Ablation] = {
             ),
         ),
     ),
+    "human-tolerance": Ablation(
+        "Hull angle from which the human sees danger [rad]",
+        (
+            *_each("tolerance", (0.3,), _AC),
+            Setting("0.45 (default)"),
+            *_each("tolerance", (0.6, 0.8), _AC),
+        ),
+        is_number=True,
+    ),
     "human-delay": Ablation(
         "The human's reaction delay [steps of 0.02 s]",
         (
