@@ -11,6 +11,7 @@ import pathlib
 import sys
 import time
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 import tyro
@@ -30,7 +31,7 @@ from hitl_jax import stats
 from hitl_jax.config import Hyper, Method, hyper_for, require
 from hitl_jax.figure_parts import paper_style, save
 from hitl_jax.files import ResultsError, locked, write_text_atomic
-from hitl_jax.provenance import git_commit, short_commit
+from hitl_jax.provenance import short_commit
 from hitl_jax.results import Run
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import FinishedRun, RunSpec, num_slots
@@ -119,56 +120,65 @@ def _names(options: AblationOptions) -> list[str]:
     return list(ABLATIONS) if options.name == "all" else [options.name]
 
 
+class _Group(NamedTuple):
+    """Runs that one compiled program can train.
+
+    Attributes:
+        parts: of one of them.
+        missing: those that the store lacks.
+        under_way: where they are saved.
+    """
+
+    parts: Parts
+    missing: dict[RunId, Parts]
+    under_way: UnderWay
+
+
 def _run(names: list[str], options: AblationOptions, store: Store) -> None:
     """Trains and tests the runs that the store lacks; those of one compiled program together."""
-    missing: dict[RunId, Parts] = {}
+    groups: dict[str, _Group] = {}
     for name in names:
         for setting, parts in _parts(ABLATIONS[name]):
+            program = digest(parts._replace(hyper=Hyper()), {})
+            if program not in groups:
+                path = store.path.parent / f"under_way-{program}"
+                groups[program] = _Group(parts, {}, UnderWay(path, parts.loop.frames))
             ids = _ids(setting, parts, options)
-            missing |= {run: parts for run in ids if run not in store}
-    if not missing:
-        return
-
-    programs: dict[str, dict[RunId, Parts]] = {}
-    for run, parts in missing.items():
-        programs.setdefault(_program(parts), {})[run] = parts
-    commit = short_commit(git_commit())  # Of the code that is loaded, whatever is committed later.
+            groups[program].missing.update({run: parts for run in ids if run not in store})
+    missing = [run for group in groups.values() for run in group.missing]
     methods = [m for m in Method if any(run.method == m for run in missing)]
     with Progress(methods, len(missing), options.episodes, 0) as progress:
-        for group in sorted(programs.values(), key=len, reverse=True):
-            _run_group(group, options, store, progress, commit)
+        for group in sorted(groups.values(), key=lambda group: len(group.missing), reverse=True):
+            if group.missing:
+                _run_group(group, options, store, progress)
+            else:
+                group.under_way.tidy(store.keys(), progress.say)
 
 
-def _run_group(
-    group: dict[RunId, Parts],
-    options: AblationOptions,
-    store: Store,
-    progress: Progress,
-    commit: str,
-) -> None:
+def _run_group(group: _Group, options: AblationOptions, store: Store, progress: Progress) -> None:
     """Trains and tests runs of one compiled program, seed after seed: early tables are fair."""
     runs: dict[RunSpec, RunId] = {}
-    for run, parts in sorted(group.items(), key=lambda item: item[0].seed):
+    for run, parts in sorted(group.missing.items(), key=lambda item: item[0].seed):
         hyper = hyper_for(Method(run.method), parts.hyper)
         spec = RunSpec(Method(run.method), run.seed, hyper, options.episodes, setting=run.digest)
         runs[spec] = run
-    one = next(iter(group.values()))
-    agent = make_team(one.agent, one.human_policy)
+    config, loop, _, human_policy = group.parts
+    agent = make_team(config, human_policy)
     plant = Plant(_BACKEND, num_slots(len(runs), _SLOTS), None, options.test_episodes)
-    under_way = UnderWay(store.path.parent / f"under_way-{_program(one)}", one.loop.frames)
-    going_on = under_way.take({run.key for run in group}, store.keys(), progress.say)
+    under_way = group.under_way
+    going_on = under_way.take({run.key for run in group.missing}, store.keys(), progress.say)
 
     def watch(rollout: Rollout) -> None:
         progress.show(rollout.runs())
         under_way.watch(rollout)
 
-    tested = train_and_test(agent, list(runs), one.loop, plant, watch, going_on)
+    tested = train_and_test(agent, list(runs), loop, plant, watch, going_on)
     try:
         with contextlib.closing(tested):
             for finished, tests, _ in tested:
                 run = runs[finished.run.spec]
                 row = _summary(finished, tests)
-                store.add(run, row | {"commit": commit})
+                store.add(run, row | {"commit": short_commit(under_way.commit_of(run.key))})
                 progress.finish(finished.run)
                 alone = row["test_return_mean"]
                 setting = run.setting or "defaults"
@@ -177,11 +187,6 @@ def _run_group(
         under_way.save()
         raise
     under_way.end()
-
-
-def _program(parts: Parts) -> str:
-    """Twelve digits, equal for runs that one compiled program can train."""
-    return digest(parts._replace(hyper=Hyper()), {})
 
 
 def _parts(ablation: Ablation) -> Iterator[tuple[Setting, Parts]]:

@@ -22,8 +22,8 @@ class BadInput(Exception):
 def run_main(options: type[T], main: Callable[[T], int], args: Sequence[str] | None = None) -> int:
     """Parses the command line and runs `main`.
 
-    Bad input is one line on stderr and exit code 2. So is, with exit code 1, what a disk or a
-    walker refuses in mid-work.
+    Bad input is one line on stderr and exit code 2. So is, with exit code 1, what the system
+    refuses in mid-work; what a walker's process died of is followed by the end of its log.
 
     Args:
         options: a dataclass of options.
@@ -37,6 +37,9 @@ def run_main(options: type[T], main: Callable[[T], int], args: Sequence[str] | N
         return 2
     except (ResultsError, WalkerError) as error:
         print("\n".join([f"error: {error}", *getattr(error, "__notes__", [])]), file=sys.stderr)
+        return 1
+    except OSError as error:
+        print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("\nStopped at once.", file=sys.stderr)

@@ -83,8 +83,10 @@ def main(options: ReplayOptions) -> int:
             agent = agent_of(folder, options.human_policy)
         key = _key(options, folder)
         keep_programs()
-        find = _find_recorded if options.phase == "training" else _find_test
-        seed, episode, recorded = find(agent, folder, key, options)
+        if options.phase == "training":
+            seed, episode, recorded = _find_recorded(folder, key, options)
+        else:
+            seed, episode, recorded = _find_test(agent, folder, key, options)
         name = f"{key.method}-seed-{key.seed}-{options.phase}-{episode.episode}"
         out = options.out or options.results / "replays" / f"{name}.gif"
         phase = "training" if options.phase == "training" else f"{options.phase} test"
@@ -112,10 +114,9 @@ def _key(options: ReplayOptions, folder: ResultsFolder) -> RunKey:
 
 
 def _find_recorded(
-    agent: Agent, folder: ResultsFolder, key: RunKey, options: ReplayOptions
+    folder: ResultsFolder, key: RunKey, options: ReplayOptions
 ) -> tuple[int, Recording, float]:
     """Reset seed, steps and recorded return of a training episode."""
-    del agent
     recordings = folder.load_recordings(key)
     if not recordings:
         raise BadInput(f"{options.results}: no training episode of {key} is recorded")

@@ -31,7 +31,7 @@ from hitl_jax.envs import make_pool, num_cores
 from hitl_jax.episodes import ALARM_WINDOW
 from hitl_jax.evaluation import milestones
 from hitl_jax.files import ResultsError, locked
-from hitl_jax.provenance import git_commit, processor, versions
+from hitl_jax.provenance import processor, versions
 from hitl_jax.results import ResultsFolder
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import RunSpec, num_slots
@@ -98,7 +98,6 @@ def _make_runs(
     try:
         sweep.run()
     except Interrupted as stop:
-        sweep.stop_drawing()
         sweep.under_way.save()
         sweep.save_partial()
         _draw(folder)
@@ -109,7 +108,8 @@ def _make_runs(
         )
         return stop.exit_code
     except ResultsError as error:
-        sweep.stop_drawing()
+        if not sweep.under_way.runs():
+            raise  # Nothing has begun; what the error says is what is to be done.
         raise ResultsError(
             f"{error}. What was finished or saved before is kept; the same command goes on"
         ) from error
@@ -143,7 +143,6 @@ class _Sweep:
         self._draw_at = self._started + FIRST_FIGURES_SECONDS
         self._provenance = {
             "versions": versions(),
-            "commit": git_commit(),
             "machine": f"{processor()}, {num_cores()} cores",
         }
         self._progress = Progress(
@@ -153,13 +152,12 @@ class _Sweep:
     def run(self) -> None:
         """Trains, tests and writes every run."""
         if self._specs:
-            self._run()
+            try:
+                self._run()
+            finally:
+                self._stop_drawing()
             return
-        # A sweep that was killed after its last run may have left saves: whole ones, which runs of
-        # other commands may need, or what there is no use for.
-        with contextlib.suppress(ResultsError):
-            self.under_way.take((), self._folder.finished(), self._progress.say)
-        self.under_way.end()
+        self.under_way.tidy(self._folder.finished(), self._progress.say)
 
     def _run(self) -> None:
         options = self._options
@@ -180,8 +178,6 @@ class _Sweep:
                 for run in tested:
                     self._finish(run)
         self.under_way.end()
-        if self._drawing is not None:
-            self._drawing.wait()
 
     def _watch(self, rollout: Rollout) -> None:
         self._progress.show(rollout.runs())
@@ -195,7 +191,7 @@ class _Sweep:
             if run.episodes and key not in self._folder.finished():
                 self._folder.write_partial(key, to_columns(run.episodes, EPISODE_COLUMNS))
 
-    def stop_drawing(self) -> None:
+    def _stop_drawing(self) -> None:
         """Ends a drawing that is under way: a folder has one writer."""
         if self._drawing is not None:
             self._drawing.terminate()
@@ -212,6 +208,7 @@ class _Sweep:
             "env_steps": run.env_steps,
             "updates": run.updates,
             "diverged": run.diverged and run.diverged._asdict(),
+            "commit": self.under_way.commit_of(spec.key),
             **self._provenance,
         }
         key = spec.key

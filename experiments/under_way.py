@@ -4,6 +4,8 @@ import pathlib
 import time
 from collections.abc import Callable, Collection
 
+from hitl_jax.files import ResultsError
+from hitl_jax.provenance import git_commit
 from hitl_jax.rollout import Rollout
 from hitl_jax.run_key import RunKey
 from hitl_jax.runs import Run
@@ -28,6 +30,8 @@ class UnderWay:
         self._seconds = seconds
         self._rollout: Rollout | None = None
         self._left_alone: list[SavedRun] = []
+        self._earlier: dict[RunKey, list[str]] = {}
+        self._commit = git_commit() or "unknown"  # Of the code that is loaded.
         self._save_at = time.monotonic() + seconds
 
     def take(
@@ -48,6 +52,7 @@ class UnderWay:
             ResultsError: if there are saves, and none can be read.
         """
         saved, notes = self._saves.load()
+        self._earlier = {key: run.facts["commits"] for key, run in saved.items()}
         for note in notes:
             say(f"a save cannot be used: {note}")
         others = saved.keys() - set(asked) - set(finished)
@@ -74,14 +79,39 @@ class UnderWay:
             ResultsError: if the disk refuses; the save before still counts.
         """
         if self._rollout is not None:
-            self._saves.write([*self._rollout.save(), *self._left_alone])
+            runs = [
+                run._replace(facts=run.facts | {"commits": self._commits(run.key)})
+                for run in self._rollout.save()
+            ]
+            self._saves.write([*runs, *self._left_alone])
             self._save_at = time.monotonic() + self._seconds
 
     def runs(self) -> list[Run]:
         """The runs that `watch` saw last."""
         return self._rollout.runs() if self._rollout else []
 
+    def commit_of(self, key: RunKey) -> str:
+        """The code that a run was trained by; more than one commit if it was changed meanwhile."""
+        return "+".join(self._commits(key))
+
+    def _commits(self, key: RunKey) -> list[str]:
+        return list(dict.fromkeys([*self._earlier.get(key, []), self._commit]))
+
     def end(self) -> None:
         """Removes the folder when all has finished, but for runs that other commands may need."""
         if not self._left_alone:
             self._saves.remove()
+
+    def tidy(self, finished: Collection[RunKey], say: Callable[[str], None]) -> None:
+        """Removes what a command that was killed after its last run has left.
+
+        Args:
+            finished: the runs that need not go on.
+            say: is told what cannot be read, which stays.
+        """
+        try:
+            self.take((), finished, say)
+        except ResultsError as error:
+            say(str(error))
+        else:
+            self.end()

@@ -22,18 +22,21 @@ class EpisodeLog:
 
     def add(self, live: np.ndarray, steps: np.ndarray) -> None:
         """Notes the steps [N, W] of the walkers that take one, bool [N]."""
-        if self._length.max() >= self._steps.shape[1]:
-            self._steps = np.pad(self._steps, ((0, 0), (0, 256), (0, 0)))
+        self._make_room(self._length.max() + 1)
         walkers = np.flatnonzero(live)
         self._steps[walkers, self._length[walkers]] = steps[walkers]
         self._length[walkers] += 1
 
     def begin(self, walker: int, steps: np.ndarray | None = None) -> None:
         """Forgets a walker's episode; `steps` [T, W] are those of the one it is in."""
-        self._length[walker] = 0
-        for step in () if steps is None else steps:
-            live = np.arange(len(self._length)) == walker
-            self.add(live, np.broadcast_to(step, (len(live), len(step))))
+        length = 0 if steps is None else len(steps)
+        self._make_room(length)
+        self._steps[walker, :length] = 0.0 if steps is None else steps
+        self._length[walker] = length
+
+    def _make_room(self, length: int) -> None:
+        if (lack := length - self._steps.shape[1]) > 0:
+            self._steps = np.pad(self._steps, ((0, 0), (0, max(lack, 256)), (0, 0)))
 
     def of(self, walker: int) -> np.ndarray:
         """A copy of a walker's steps, [T, W]."""

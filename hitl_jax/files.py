@@ -38,7 +38,7 @@ def write_text_atomic(path: pathlib.Path, text: str) -> None:
 
 def write_bytes_atomic(path: pathlib.Path, data: bytes) -> None:
     """Writes bytes as `write_text_atomic` writes text."""
-    temporary = path.with_name(TEMPORARY + path.name)
+    temporary = _temporary(path)
     with named_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -60,7 +60,7 @@ def write_folder_atomic(path: pathlib.Path, contents: Mapping[str, bytes]) -> No
     Raises:
         ResultsError: if it cannot be written.
     """
-    temporary = path.with_name(TEMPORARY + path.name)
+    temporary = _temporary(path)
     with named_errors(path):
         shutil.rmtree(temporary, ignore_errors=True)
         temporary.mkdir(parents=True)
@@ -94,14 +94,16 @@ def locked(folder: pathlib.Path) -> Iterator[None]:
     with file:
         try:
             with named_errors(path):
-                file.truncate()
                 since = time.strftime("%Y-%m-%d %H:%M:%S")
-                file.write(f"process {os.getpid()} on {platform.node()} since {since}")
-                file.flush()
+                owner = f"process {os.getpid()} on {platform.node()} since {since}"
+                # Past the buffer, which on a full disk would fail once more when it is closed.
+                os.ftruncate(file.fileno(), 0)
+                os.write(file.fileno(), owner.encode())
             yield
         finally:
-            if _is_there(path, file):  # Not another's, in a folder that was made anew.
-                path.unlink()
+            with contextlib.suppress(OSError):  # What led here says more.
+                if _is_there(path, file):  # Not another's, in a folder that was made anew.
+                    path.unlink()
 
 
 def _is_there(path: pathlib.Path, file: TextIO) -> bool:
@@ -148,6 +150,11 @@ def named_errors(path: pathlib.Path) -> Iterator[None]:
         raise ResultsError(f"{path}: {error.strerror or error}") from error
     except (ValueError, EOFError, zipfile.BadZipFile) as error:
         raise ResultsError(f"{path}: damaged: {' '.join(str(error).split())}") from error
+
+
+def _temporary(path: pathlib.Path) -> pathlib.Path:
+    """Another name for each process: figures may be drawn twice at a time."""
+    return path.with_name(f"{TEMPORARY}{os.getpid()}-{path.name}")
 
 
 def _write_synced(path: pathlib.Path, data: bytes) -> None:

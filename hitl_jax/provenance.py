@@ -64,6 +64,8 @@ def short_commit(commit: str | None) -> str:
     """What `git_commit` gave, in a few characters for a table."""
     if commit is None:
         return "unknown"
+    if "+" in commit:  # Of a run that was taken up by other code.
+        return "+".join(map(short_commit, commit.split("+")))
     digits, *dirty = commit.split("-")
     return "-".join([digits[:7], *dirty])
 

@@ -10,7 +10,8 @@
     OUT/runs/<method>/seed-0003/params.npz   the final parameters
     OUT/runs/<method>/seed-0003/episodes.npz recorded training episodes, to be played again
     OUT/partial/<method>-seed-0003.csv       training episodes of a run still under way
-    OUT/summary.csv, OUT/summary.md, OUT/figures/
+    OUT/under_way/                           runs under way (`hitl_jax.saves`)
+    OUT/summary.csv, OUT/summary.md, OUT/figures/, OUT/replays/
 
 Everything is written atomically (`hitl_jax.files`), so a file or a run that is there is whole,
 whenever the process is killed. A folder has one writer at a time (`hitl_jax.files.locked`) and any

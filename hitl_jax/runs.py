@@ -123,14 +123,14 @@ class Run:
         spec: which run.
         slot: its column in the batch.
         episodes: a row for each training episode that has ended.
-        ticks: ticks since it was seated.
+        ticks: ticks that it has taken, those before it was saved and taken up again included.
         env_steps: environment steps taken.
         updates: updates of the task learner.
         done: whether all episodes have ended, or it diverged.
         snapshots: those that are due so far.
         recordings: episodes to be played again, by name; see `hitl_jax.recording`.
         diverged: where its numbers turned not finite, if they did.
-        started: when it was seated, on the monotonic clock [s].
+        started: when it would have begun, had it never been stopped, on the monotonic clock [s].
     """
 
     spec: RunSpec

@@ -19,6 +19,8 @@ from hitl_jax.replay import Layout
 from hitl_jax.run_key import RunKey
 from hitl_jax.runs import Run
 
+_ANEW = "remove under_way from the results to begin its runs anew"
+
 
 class SavedRun(NamedTuple):
     """A run between two chunks.
@@ -89,11 +91,13 @@ def bring_back(
     for command, action in playback(pool.num_walkers, episodes):
         observation = pool.step(command, action, seeds).observation
     walkers = sorted(episodes)
-    changed = [w for w in walkers if not np.array_equal(observation[w], expected[w])]
+    changed = [
+        w for w in walkers if not np.array_equal(observation[w], expected[w], equal_nan=True)
+    ]
     if changed:
         raise CannotReturn(
-            f"{len(changed)} of {len(walkers)} walkers did not come back as they were; "
-            "was the sweep begun with another version of Box2D or gymnasium?"
+            f"{len(changed)} of {len(walkers)} walkers did not come back as they were (was the "
+            f"sweep begun with another version of Box2D or gymnasium?); {_ANEW}"
         )
 
 
@@ -142,4 +146,4 @@ def require_shapes(saved: SavedRun, expected: Mapping[str, tuple[int, ...]]) -> 
         CannotReturn: if another program, or one of other options, has saved it.
     """
     if any(getattr(saved, name).shape != shape for name, shape in expected.items()):
-        raise CannotReturn(f"{saved.key} was saved by another program")
+        raise CannotReturn(f"{saved.key} was saved by another program; {_ANEW}")

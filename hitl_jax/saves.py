@@ -59,6 +59,8 @@ class Saves:
             ResultsError: if there are saves, and none can be read.
         """
         notes: list[str] = []
+        with named_errors(self._path):
+            remove_leftovers(self._path)
         states = self._numbers("state")
         self._number = max(states | self._numbers("frames"), default=0)
         for number in sorted(states, reverse=True):
@@ -106,11 +108,11 @@ class Saves:
         self._keep("state", {self._newest, number})
         self._keep("frames", {*before, *lengths})
         self._number, self._newest, self._lengths = number, number, lengths
-        remove_leftovers(self._path)
 
     def remove(self) -> None:
         """Removes the folder: nothing is under way any more."""
         if self._path.exists():
+            self._keep("state", set())  # First, since a state without its frames is damaged.
             with named_errors(self._path):
                 shutil.rmtree(self._path)
 
@@ -165,7 +167,8 @@ def _reaching_back(lengths: Lengths, needed: dict[str, int]) -> Lengths:
     """Of all files those that hold one of the last so many frames of a run."""
     kept: Lengths = {}
     for number in sorted(lengths, reverse=True):
-        if any(needed.get(name, 0) > 0 for name in lengths[number]):
+        lacking = (length and needed.get(name, 0) > 0 for name, length in lengths[number].items())
+        if not kept or any(lacking):  # The newest names every run, some perhaps without frames.
             kept[number] = lengths[number]
         for name, length in lengths[number].items():
             needed[name] = needed.get(name, 0) - length

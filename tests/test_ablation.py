@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from experiments import ablation
+from experiments import ablation, under_way
 from experiments.ablations.settings import ABLATIONS, Ablation, Setting
 from experiments.ablations.store import Store, digest
 from experiments.ablations.table import Line, to_markdown
@@ -102,16 +102,30 @@ def test_what_is_under_way_when_it_is_stopped_goes_on(made, tmp_path, capsys, mo
     _add_tiny(monkeypatch)
     with monkeypatch.context() as patch:
         patch.setattr(Progress, "show", _stop_at(5))
+        patch.setattr(under_way, "git_commit", lambda: "a" * 40)
         assert _run(tmp_path, "tiny") == 130
     assert "Stopped" in capsys.readouterr().out
     assert _lines(tmp_path) == []
+    monkeypatch.setattr(under_way, "git_commit", lambda: "b" * 40)
     assert _run(tmp_path, "tiny") == 0
     assert "3 runs go on where they were saved" in capsys.readouterr().out
     assert not list(tmp_path.glob("under_way*"))
     lines = [_lines(made), _lines(tmp_path)]
+    assert {line["commit"] for line in lines[1]} == {"aaaaaaa+bbbbbbb"}
     for line in itertools.chain(*lines):
-        del line["wall_seconds"]
+        del line["wall_seconds"], line["commit"]
     assert lines[0] == lines[1]
+
+
+def test_saves_that_nobody_needs_are_removed(made, tmp_path, monkeypatch):
+    _add_tiny(monkeypatch)
+    with monkeypatch.context() as patch:
+        patch.setattr(Progress, "show", _stop_at(2))
+        assert _run(tmp_path, "tiny") == 130
+    assert list(tmp_path.glob("under_way*"))
+    shutil.copy(made / "runs.csv", tmp_path)  # As if it was killed after its last run.
+    assert _run(tmp_path, "tiny") == 0
+    assert not list(tmp_path.glob("under_way*"))
 
 
 def test_saves_of_one_ablation_leave_those_of_another_alone(tmp_path, capsys, monkeypatch):
@@ -137,7 +151,7 @@ def test_a_run_that_diverged_is_marked():
 
 def test_settings_of_one_program_are_trained_together(tmp_path, monkeypatch):
     groups = []
-    monkeypatch.setattr(ablation, "_run_group", lambda group, *_: groups.append(set(group)))
+    monkeypatch.setattr(ablation, "_run_group", lambda group, *_: groups.append(set(group.missing)))
     assert _run(tmp_path, "all") == 0
     assert len(groups[0]) == max(map(len, groups)) > 20
     assert not set.intersection(*groups)

@@ -1,5 +1,6 @@
 """Locks: a folder has one writer, however its process ends."""
 
+import errno
 import os
 import pathlib
 import signal
@@ -42,3 +43,13 @@ def test_a_lock_that_cannot_be_had(tmp_path):
         pass
     with pytest.raises(ResultsError, match="/proc/nowhere"), locked(pathlib.Path("/proc/nowhere")):
         pass
+
+
+def test_a_lock_on_a_full_disk(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.write", refuse)
+    with pytest.raises(ResultsError, match="No space left on device"), locked(tmp_path):
+        pass
+    assert not list(tmp_path.iterdir())

@@ -132,3 +132,23 @@ def test_frames_of_another_save_are_noticed(folder, tmp_path):
 def test_nothing_there_is_nothing_saved(tmp_path):
     assert Saves(tmp_path / "none", _CAPACITY).load() == ({}, [])
     Saves(tmp_path / "none", _CAPACITY).remove()
+
+
+def test_a_run_that_waits_does_not_keep_the_frames_of_others(tmp_path):
+    saves = Saves(tmp_path / "saves", _CAPACITY)
+    waiting = _run(2, 2, RunKey("srl", 0))
+    saves.write([_run(4, 4), waiting])
+    for ticks in range(8, 40, 4):
+        saves.write([_run(ticks, 4), waiting.without_new_frames()])
+    # The first, for what waits; those that the two newest states need of the other.
+    assert len(list((tmp_path / "saves").glob("frames-*"))) == 4
+    runs, notes = Saves(tmp_path / "saves", _CAPACITY).load()
+    assert notes == []
+    assert runs[waiting.key].frames.ravel().tolist() == [0, 1]
+    assert runs[_KEY].frames.ravel().tolist() == list(range(28, 36))
+
+
+def test_a_removal_that_is_cut_off_leaves_nothing_to_refuse(folder, monkeypatch):
+    monkeypatch.setattr("shutil.rmtree", lambda path: None)
+    Saves(folder, _CAPACITY).remove()
+    assert Saves(folder, _CAPACITY).load() == ({}, [])

@@ -10,7 +10,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from typing import IO, NoReturn
+from collections.abc import Callable
+from typing import IO, NoReturn, TypeVar
 
 import numpy as np
 
@@ -21,9 +22,11 @@ from hitl_jax.episode_log import EpisodeLog, playback
 _CLOSE_SECONDS = 5.0
 _LOG_BYTES = 8192
 _ATTEMPTS = 5
-"""To play a tick in which a worker was killed; a walker that kills its worker would do it again."""
+"""To play a tick again in which a worker was killed; some walkers would kill it each time."""
 
 _logger = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 # A walker is one thread; a worker's BLAS must not start more and take the learner's cores.
 _WORKER_ENVIRONMENT = {
@@ -109,7 +112,7 @@ class WorkerPool(CheckedPool):
         self._workers: list[_Worker] = []
         self._memory = _anonymous_file()
         try:
-            sizes = self._launch_surely()
+            sizes = self._surely(self._launch_all)
             os.ftruncate(self._memory, num_bytes(num_walkers, *sizes))
             self._arrays = map_arrays(self._memory, num_walkers, *sizes)
         except BaseException:
@@ -143,7 +146,9 @@ class WorkerPool(CheckedPool):
             try:
                 self._replies(1)
             except _Killed as error:
-                self._repeat(error, command, arrays.action.copy(), arrays.seed.copy())
+                self._end_killed(error)
+                asked = command, arrays.action.copy(), arrays.seed.copy()
+                self._surely(lambda: self._repeat(*asked))
         except WalkerError:
             self.close()
             raise
@@ -158,42 +163,34 @@ class WorkerPool(CheckedPool):
             truncated=arrays.truncated.copy(),
         )
 
-    def _repeat(
-        self, error: WalkerError, command: np.ndarray, action: np.ndarray, seed: np.ndarray
-    ) -> None:
+    def _repeat(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> None:
         """Starts the workers again, brings the walkers back, and plays the tick once more.
 
         All of them: which walkers a dead one's neighbours had stepped, and whom it had woken,
         cannot be known.
         """
-        for _ in range(_ATTEMPTS):
-            _logger.warning("%s; all are started again", error)
-            self._end_workers()
-            try:
-                self._launch_all()
-                walkers = np.flatnonzero(self._playing).tolist()
-                if walkers:
-                    episodes = {walker: self._log.of(walker) for walker in walkers}
-                    for commands, actions in playback(self.num_walkers, episodes):
-                        self._start(commands, actions, self._seeds)
-                        self._replies(1)
-                self._start(command, action, seed)
+        self._launch_all()
+        walkers = np.flatnonzero(self._playing).tolist()
+        if walkers:
+            episodes = {walker: self._log.of(walker) for walker in walkers}
+            for commands, actions in playback(self.num_walkers, episodes):
+                self._start(commands, actions, self._seeds)
                 self._replies(1)
-            except _Killed as again:
-                error = again
-            else:
-                return
-        raise error
+        self._start(command, action, seed)
+        self._replies(1)
 
-    def _launch_surely(self) -> tuple[int, int]:
-        """`_launch_all`, again if a worker is killed meanwhile."""
-        for _ in range(_ATTEMPTS):
+    def _surely(self, launch: Callable[[], T]) -> T:
+        """Does what begins with `_launch_all`; again if a worker is killed meanwhile."""
+        for _ in range(_ATTEMPTS - 1):
             try:
-                return self._launch_all()
+                return launch()
             except _Killed as error:
-                _logger.warning("%s; all are started again", error)
-                self._end_workers()
-        return self._launch_all()
+                self._end_killed(error)
+        return launch()
+
+    def _end_killed(self, error: _Killed) -> None:
+        _logger.warning("%s; all are started again", error)
+        self._end_workers()
 
     def _launch_all(self) -> tuple[int, int]:
         """Starts all workers at once and waits until they are ready; O and A."""
