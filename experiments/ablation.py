@@ -47,8 +47,9 @@ class AblationOptions:
     """Compare settings of one part of the team, each over several seeds.
 
     Attributes:
-        name: one of methods, intervention, feedback, source, delta, initial-boundary, indicator,
-            human-tolerance, human-delay, human-mistakes, human-attention, arbiter; or `all`.
+        name: one of methods, exploration, intervention, feedback, source, delta, initial-boundary,
+            indicator, human-tolerance, human-delay, human-mistakes, human-attention, arbiter; or
+            `all`.
         seeds: number of seeds for each setting.
         first_seed: the first of them.
         episodes: training episodes of a run.

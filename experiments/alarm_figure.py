@@ -82,6 +82,8 @@ def _figure(methods: dict[str, _Counts], folder: ResultsFolder) -> Figure:
         scale = 1.0 / STEPS_PER_SECOND if part == "lead_steps" else 1.0
         for method, (_, boundaries, counts) in methods.items():
             _draw_share(axes, boundaries, counts[part] * scale, counts[whole], method, rng)
+        if not axes.lines:
+            axes.text(0.66, 0.5, f"fewer than {_FEW} falls", ha="center", transform=axes.transAxes)
         axes.set(ylabel=label)
         axes.set_ylim(bottom=0.0)
     axes_of[0].set(yscale="log", ylim=(1e-5, 1.5))

@@ -53,7 +53,6 @@ class _Comparison(NamedTuple):
 
 _COMPARISONS = (
     _Comparison("td3-tqc", "ten_seeds"),
-    _Comparison("td3 --exploration-noise 0.2", "ten_seeds_td3"),
     _Comparison("ddpg", "ten_seeds_ddpg"),
 )
 
@@ -63,8 +62,8 @@ class ReportOptions:
     """Rebuilds REPORT.md, the summaries, the tables and the figures of a folder of results.
 
     Attributes:
-        results: the folder, with `ten_seeds`, `ten_seeds_td3`, `ten_seeds_ddpg`, `ablations` and
-            `tuning` in it; what is missing is said in the report.
+        results: the folder, with `ten_seeds`, `ten_seeds_ddpg`, `ablations` and `tuning` in it;
+            what is missing is said in the report.
     """
 
     results: str = "results"

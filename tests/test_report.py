@@ -71,6 +71,10 @@ def test_all_claims_can_hold():
         "episode: HITL-AC 324 [324, 324], HITL-FIX 474 [474, 474], SRL 674 [674, 674]; "
         "so in 100 % of resamples of the seeds"
     )
+    assert claims["Training speed over environment steps"].measured == (
+        "thousands of steps: HITL-AC 0 [0, 0], HITL-FIX 0 [0, 0], SRL 1 [1, 1]; "
+        "so in 100 % of resamples of the seeds"
+    )
     assert claims["Help in the test"].measured == (
         "+15.0 [+15.0, +15.0]; above it by more than 1 in 5 of 5 seeds"
     )

@@ -49,14 +49,14 @@ def _each(option: str, values: tuple[float, ...], methods: tuple[Method, ...]) -
     return [Setting(f"{value:g}", {option: value}, methods) for value in values]
 
 
-_TRAINED = "results/ten_seeds_td3/runs/hitl-fix/seed-0009/params.npz"
+_TRAINED = "results/ten_seeds/runs/hitl-fix/seed-0009/params.npz"
 
 _TAKEOVER: Changes = {"intervention": "takeover"}
 _NETWORK: Changes = {"boundary_source": "network"}
 _RESIDUAL: Changes = {"boundary_source": "residual"}
 
-_BUDGET = 0.0013
-"""Interventions per step of HITL-AC in its first 300 episodes (results/ten_seeds_td3)."""
+_BUDGET = 0.0024
+"""Interventions per step of HITL-AC in its first 300 episodes (results/ten_seeds)."""
 
 _RANDOM: Changes = {
     "boundary_low": 0.0,
@@ -81,6 +81,14 @@ ABLATIONS: dict[str, Ablation] = {
             Setting("takeover, trained hands", _TAKEOVER | {"human_policy": _TRAINED}),
             Setting("penalty", {"intervention": "penalty"}),
         ),
+    ),
+    "exploration": Ablation(
+        "Standard deviation of the exploration noise",
+        (
+            *_each("exploration_noise", (0.1, 0.2), tuple(Method)),
+            Setting("0.3 (default)", methods=tuple(Method)),
+        ),
+        is_number=True,
     ),
     "feedback": Ablation(
         "The human's feedback r(s, a^h)",
@@ -169,7 +177,7 @@ ABLATIONS: dict[str, Ablation] = {
         ),
     ),
     "arbiter": Ablation(
-        "Other arbiters; quantile, PID and random are given the rate that HITL-AC has with td3",
+        "Other arbiters; quantile, PID and random are given the rate of HITL-AC",
         (
             Setting("Δ rule (default)"),
             Setting("fixed", methods=(Method.HITL_FIX,)),

@@ -4,6 +4,7 @@ Each claim is given what the paper says, what must be seen for it to hold here, 
 and a verdict that follows from the two by a rule; nobody's opinion comes between.
 """
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -73,6 +74,7 @@ def judge(results: Results) -> list[Claim]:
     results = results._replace(runs=dict(zip(METHODS, runs, strict=True)))
     claims: list[Callable[[Results, np.random.Generator], Claim | None]] = [
         _speed,
+        _economy,
         _skill,
         _progress,
         _improvement,
@@ -104,6 +106,31 @@ def _speed(results: Results, rng: np.random.Generator) -> Claim:
         f"the interquartile mean of HITL-AC's trailing-{WINDOW} returns passes {_WALKS:.0f} by "
         f"episode {_EARLY}, HITL-FIX's after it, SRL's after both",
         f"episode: {', '.join(reversed(cells))}; {share}",
+        verdict,
+    )
+
+
+def _economy(results: Results, rng: np.random.Generator) -> Claim:
+    """A human who resets early shortens episodes: the same speed in the learner's own currency."""
+    drawn = _resamples(results, rng)
+    medians, cells = {}, []
+    for method in METHODS:
+        steps = np.array([_steps_until_it_walks(run) for run in results.runs[method]])
+        # The upper one of two in the middle: "never" is infinite, and has no middle.
+        median = functools.partial(np.quantile, q=0.5, method="higher")
+        medians[method] = median(steps[drawn], axis=1)
+        low = np.quantile(medians[method], 0.025, method="lower")
+        high = np.quantile(medians[method], 0.975, method="higher")
+        cells.append(
+            f"{method.upper()} {_thousands(median(steps))} [{_thousands(low)}, {_thousands(high)}]"
+        )
+    verdict, share = _in_resamples(medians["hitl-ac"] < medians["srl"])
+    return Claim(
+        "Training speed over environment steps",
+        "–",
+        f"the median step at which a seed's trailing-{WINDOW} return passes {_WALKS:.0f} is earlier "
+        "for HITL-AC than for SRL",
+        f"thousands of steps: {', '.join(reversed(cells))}; {share}",
         verdict,
     )
 
@@ -265,6 +292,11 @@ def _trailing_returns(run: Run) -> np.ndarray:
     return stats.trailing_mean(run.episodes["return"], WINDOW)
 
 
+def _steps_until_it_walks(run: Run) -> float:
+    episode = stats.first_passage(_trailing_returns(run), _WALKS, WINDOW)
+    return np.inf if episode is None else float(run.episodes["env_steps"][episode - 1])
+
+
 def _passage(curves: np.ndarray) -> float:
     """The episode at which the interquartile mean of curves [S, T] passes; infinite for never."""
     centre = stats.interquartile_mean(curves, 0)
@@ -287,6 +319,10 @@ def _in_resamples(holds: np.ndarray) -> tuple[str, str]:
 
 def _episode(passage: float) -> str:
     return "never" if np.isinf(passage) else f"{passage:.0f}"
+
+
+def _thousands(steps: float) -> str:
+    return "never" if np.isinf(steps) else f"{steps / 1000:.0f}"
 
 
 def _scores(results: Results, method: str) -> np.ndarray:
