@@ -128,8 +128,8 @@ def _economy(results: Results, rng: np.random.Generator) -> Claim:
     return Claim(
         "Training speed over environment steps",
         "–",
-        f"the median step at which a seed's trailing-{WINDOW} return passes {_WALKS:.0f} is earlier "
-        "for HITL-AC than for SRL",
+        f"the median step at which a seed's trailing-{WINDOW} return passes {_WALKS:.0f} is "
+        "earlier for HITL-AC than for SRL",
         f"thousands of steps: {', '.join(reversed(cells))}; {share}",
         verdict,
     )
