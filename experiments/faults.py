@@ -36,8 +36,8 @@ class FaultOptions:
     Attributes:
         kills: of the whole sweep, and again of single walker processes.
         first: what the random moments start from.
-        longest: longest time from a start, or from the first save after it, to a kill [s]; that of
-            a walker process is within half of it after the one before.
+        longest: longest time from a start, or from the first save after it, to a kill [s]; half of
+            it for walker processes.
         out: a new folder for the three sweeps.
     """
 
@@ -86,12 +86,7 @@ def main(options: FaultOptions) -> int:
 def _kill_sweeps(out: pathlib.Path, moments: random.Random, options: FaultOptions) -> None:
     for kill in range(1, options.kills + 1):
         with _sweep(out) as sweep:
-            # One kill in four can meet the start, the others what comes after it.
-            before = _newest_save(out)
-            at_work = moments.random() < 0.75
-            while at_work and _newest_save(out) == before and not _sleep(sweep, 0.1):
-                pass
-            if _sleep(sweep, moments.uniform(0.0, options.longest)):
+            if _ends_before(sweep, out, moments, options.longest):
                 print(f"the sweep ended before kill {kill}", flush=True)
                 _wait(sweep)
                 return
@@ -106,7 +101,7 @@ def _kill_workers(out: pathlib.Path, moments: random.Random, options: FaultOptio
     kills = 0
     with _sweep(out) as sweep:
         while kills < options.kills:
-            if _sleep(sweep, moments.uniform(0.0, options.longest / 2)):
+            if _ends_before(sweep, out, moments, options.longest / 2):
                 print(f"the sweep ended before kill {kills + 1}", flush=True)
                 break
             workers = _workers_of(sweep.pid)
@@ -116,6 +111,18 @@ def _kill_workers(out: pathlib.Path, moments: random.Random, options: FaultOptio
                     kills += 1
                     print(f"kill {kills} of {options.kills}: a walker process", flush=True)
         _wait(sweep)
+
+
+def _ends_before(
+    sweep: subprocess.Popen[bytes], out: pathlib.Path, moments: random.Random, longest: float
+) -> bool:
+    """Waits for the moment of the next kill; whether the sweep ended first."""
+    before = _newest_save(out)
+    # One kill in four can meet a start, the others what comes after it.
+    at_work = moments.random() < 0.75
+    while at_work and _newest_save(out) == before and not _sleep(sweep, 0.1):
+        pass
+    return _sleep(sweep, moments.uniform(0.0, longest))
 
 
 @contextlib.contextmanager
