@@ -85,8 +85,8 @@ def mark_solved(axes: Axes, text: str) -> None:
     low, high = axes.get_ylim()
     axes.set_ylim(top=max(high, SOLVED + 0.12 * (SOLVED - low)))
     place: dict[str, Any] = {"xytext": (0, 2), "textcoords": "offset points"}
-    place |= {"ha": "right", "va": "bottom", "fontsize": 7.5}
-    axes.annotate(text, (1.0, SOLVED), xycoords=("axes fraction", "data"), **place)
+    place |= {"ha": "left", "va": "bottom", "fontsize": 7.5}
+    axes.annotate(text, (0.01, SOLVED), xycoords=("axes fraction", "data"), **place)
 
 
 def panels(
