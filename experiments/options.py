@@ -42,7 +42,8 @@ class SweepOptions:
         backend: `lean`, equal to gymnasium's walker bit for bit and twice as fast; `gymnasium`,
             the official one; `envpool`, whose terrain cannot be seeded (needs the extra `fast`).
         workers: processes that step walkers (default: one a core).
-        slots: runs at a time; the others wait. Each takes capacity x 140 bytes of memory.
+        slots: runs at a time, at least two a core; the others wait. Each takes capacity x 140 bytes
+            of memory.
         human_policy: a `params.npz` whose actor gives the human's actions (default: gymnasium's
             scripted walker).
         save_seconds: how often runs under way are saved [s]: what a killed process loses at most.

@@ -174,7 +174,8 @@ def num_slots(num_runs: int, most: int) -> int:
     """Slots for `num_runs` runs: a power of two, or `most`, rounded up to fill every device.
 
     Few sizes, so that programs compiled for one number of runs serve others. An empty slot costs
-    memory and a little acting, no learning.
+    memory and a little acting, no learning. At least two a device: of an axis of one XLA makes
+    another program, which rounds otherwise, and a run's numbers would tell that it was alone.
 
     Args:
         num_runs: how many runs there are, at least 1.
@@ -182,7 +183,7 @@ def num_slots(num_runs: int, most: int) -> int:
     """
     devices = len(learning_devices())
     power = 2 ** math.ceil(math.log2(num_runs))
-    return math.ceil(min(power, most) / devices) * devices
+    return max(math.ceil(min(power, most) / devices), 2) * devices
 
 
 def method_index(method: Method) -> int:

@@ -43,7 +43,7 @@ def _learn(runs, tile, skip=(), device=0):
     slots[: len(listed)] = listed
     for call in range(2):
         seats, _ = programs.learn(seats, _frames(runs, call), slots, np.int32(len(listed)))
-    train = jax.device_get(seats.train.learner)
+    train = jax.device_get((seats.train.learner, seats.train.boundary))
     return {run: jax.tree.map(lambda leaf, s=slot: leaf[s], train) for slot, run in enumerate(runs)}
 
 
@@ -70,7 +70,7 @@ def plainly():
         for call in range(2):
             memory = replay.add(memory, jnp.asarray(_frames([run], call)))
             state = learn(state, memory, _hyper(run))
-        after[run] = jax.device_get(state.learner)
+        after[run] = jax.device_get((state.learner, state.boundary))
     return after
 
 
@@ -78,6 +78,14 @@ def plainly():
 def test_a_run_in_the_batch_equals_the_run_alone(plainly, tile):
     for run, learner in _learn(list(range(6)), tile).items():
         _same(learner, plainly[run])
+
+
+def test_neighbours_do_not_change_a_bit():
+    """Of two slots or more: see `num_slots`."""
+    few = _learn([4, 1], 3)
+    for learned in (_learn([0, 1, 4], 3), _learn([5, 4, 3, 2, 1, 0], 3)):
+        for run, train in few.items():
+            jax.tree.map(np.testing.assert_array_equal, train, learned[run])
 
 
 def test_order_and_devices_do_not_matter(plainly):
@@ -91,8 +99,8 @@ def test_a_run_that_is_not_listed_does_not_change(plainly):
     for run in (0, 2, 3, 5):
         _same(learned[run], plainly[run])
     for run in (1, 4):
-        fresh = agents.init(_AGENT, jax.random.key(run)).learner
-        _same(learned[run], jax.device_get(fresh))
+        fresh = agents.init(_AGENT, jax.random.key(run))
+        _same(learned[run], jax.device_get((fresh.learner, fresh.boundary)))
 
 
 def test_the_ring_is_updated_in_place():

@@ -178,9 +178,9 @@ def test_updates_of_a_chunk_must_be_whole():
 
 def test_there_are_few_numbers_of_slots():
     """Powers of two, no more than asked for, a multiple of the two devices that learn."""
-    assert [num_slots(runs, 32) for runs in (1, 2, 3, 10, 30, 40)] == [2, 2, 4, 16, 32, 32]
+    assert [num_slots(runs, 32) for runs in (1, 2, 3, 10, 30, 40)] == [4, 4, 4, 16, 32, 32]
     assert num_slots(30, 30) == 30
-    assert num_slots(5, 1) == 2
+    assert num_slots(5, 1) == 4
 
 
 class BrokenPool(ToyPool):
