@@ -52,7 +52,7 @@ class UnderWay:
             ResultsError: if there are saves, and none can be read.
         """
         saved, notes = self._saves.load()
-        self._earlier = {key: run.facts["commits"] for key, run in saved.items()}
+        self._earlier = {key: run.facts.get("commits", []) for key, run in saved.items()}
         for note in notes:
             say(f"a save cannot be used: {note}")
         others = saved.keys() - set(asked) - set(finished)

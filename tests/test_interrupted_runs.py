@@ -15,7 +15,7 @@ from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs import Command
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import LoopConfig, RunSpec, episode_seed
-from hitl_jax.saved import CannotReturn
+from hitl_jax.saved import CannotReturn, bring_back
 from hitl_jax.saves import Saves
 from hitl_jax.tables import EPISODE_COLUMNS, to_columns
 
@@ -116,6 +116,18 @@ def test_a_walker_that_comes_back_otherwise_is_noticed(saved_run):
     other = saved_run._replace(observation=saved_run.observation + np.float32(1e-3))
     with pytest.raises(CannotReturn, match="1 of 1 walkers did not come back as they were"):
         _rollout(_SPECS[:1], 2, {_SPECS[0].key: other})
+
+
+def test_a_walker_that_saw_what_is_no_number_comes_back():
+    """It is about to end as diverged, and must not keep the other runs from going on."""
+
+    class Nowhere(ToyPool):
+        def step(self, command, action, seed):
+            answer = super().step(command, action, seed)
+            return answer._replace(observation=np.full_like(answer.observation, np.nan))
+
+    seen = np.full((1, 24), np.nan, np.float32)
+    bring_back(Nowhere(1), np.zeros(1, np.uint32), {0: np.zeros((1, 4), np.float32)}, seen)
 
 
 def test_a_run_that_does_not_fit_is_refused(saved_run):
