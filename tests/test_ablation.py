@@ -6,6 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
+from small import TEAM
 
 from experiments import ablation, under_way
 from experiments.ablations.settings import ABLATIONS, Ablation, Setting
@@ -19,7 +20,7 @@ from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.files import ResultsError, locked
 from hitl_jax.runs import Divergence, FinishedRun, Run, RunSpec
 
-_SMALL = {"hidden_sizes": (8,), "batch_size": 8, "capacity": 400, "warmup_steps": 40}
+_SMALL = TEAM | {"warmup_steps": 40}
 _TINY = Ablation(
     "Tiny",
     (

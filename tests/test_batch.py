@@ -89,7 +89,7 @@ def test_neighbours_do_not_change_a_bit():
 
 
 def test_order_and_devices_do_not_matter(plainly):
-    for learned in (_learn([3, 0, 5, 1, 4, 2], 3), _learn([2, 4, 1], 2, device=1)):
+    for learned in (_learn([3, 0, 5, 1, 4, 2], 3), _learn([2, 4, 1], 3, device=1)):
         for run, learner in learned.items():
             _same(learner, plainly[run])
 
@@ -104,12 +104,12 @@ def test_a_run_that_is_not_listed_does_not_change(plainly):
 
 
 def test_the_ring_is_updated_in_place():
-    seats = _empty(4)
+    seats = _empty(6)
     programs = batch.make_programs(_AGENT, _UPDATES, 2)
-    frames = _frames(range(4))
+    frames = _frames(range(6))
     pointers = []
     for _ in range(2):
-        seats, _ = programs.learn(seats, frames, np.zeros(4, np.int32), np.int32(0))
+        seats, _ = programs.learn(seats, frames, np.zeros(6, np.int32), np.int32(0))
         memory = seats.memory
         pointers.append([ring.unsafe_buffer_pointer() for ring in (memory.seen, memory.outcome)])
     assert pointers[0] == pointers[1]

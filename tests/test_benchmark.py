@@ -7,6 +7,7 @@ import sys
 import jax
 import numpy as np
 import pytest
+import small
 from toy import ToyPool
 
 from experiments.benchmark import BenchmarkOptions, main
@@ -18,7 +19,6 @@ from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Method
 from hitl_jax.devices import cpu_device
 from hitl_jax.rollout import Rollout
-from hitl_jax.runs import LoopConfig
 
 
 @pytest.mark.parametrize(
@@ -85,8 +85,7 @@ def test_growth_with_runs_is_drawn(tmp_path):
 def test_steps_of_a_stretch_are_counted_without_resets():
     specs = loop.specs_of([Method.SRL, Method.HITL_AC], 4)
     pool = ToyPool(4)
-    config = AgentConfig(learner="td3", hidden_sizes=(16,), batch_size=16)
-    rollout = Rollout(make_agent(config), specs, pool, LoopConfig(capacity=512))
+    rollout = Rollout(make_agent(small.AGENT), specs, pool, small.LOOP)
     chunks = iter(rollout)
     next(chunks)
     before = pool.steps

@@ -97,7 +97,7 @@ def test_nothing_is_compiled_again():
     jax.monitoring.register_event_duration_secs_listener(listen)
     specs = [_spec(method, seed) for seed in range(3) for method in Method]
     slots, num_devices = 4, len(learning_devices())
-    rollout = Rollout(make_agent(_CONFIG), specs, ToyPool(slots), _LOOP, 1)
+    rollout = Rollout(make_agent(_CONFIG), specs, ToyPool(slots), _LOOP, tile=2)
     counts, finished, devices = [], 0, set()
     known = None
     for done in rollout:
@@ -138,7 +138,8 @@ def test_memory_is_flat():
 def test_a_finished_run_takes_no_more_steps():
     pool = ToyPool(2)
     specs = [_spec(Method.SRL, 0), _spec(Method.HITL_AC, 0)]
-    finished = [r for done in Rollout(make_agent(_CONFIG), specs, pool, _LOOP) for r in done]
+    rollout = Rollout(make_agent(_CONFIG), specs, pool, _LOOP, tile=2)
+    finished = [run for done in rollout for run in done]
     assert pool.steps == sum(done.run.env_steps for done in finished)
 
 

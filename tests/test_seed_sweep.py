@@ -15,6 +15,7 @@ import time
 
 import numpy as np
 import pytest
+import small
 from PIL import Image
 
 from experiments import alarms, replay, seed_sweep, verify
@@ -28,7 +29,7 @@ from hitl_jax.tables import select, table_to_csv
 
 _SMALL = [
     *("--seeds", "1", "--episodes", "3", "--test-episodes", "2", "--warmup-steps", "100"),
-    *("--hidden-sizes", "16", "--batch-size", "16", "--capacity", "2000", "--learner", "td3"),
+    *small.OPTIONS,
 ]
 
 

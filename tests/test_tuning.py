@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from small import TEAM
 
 from experiments import tuning
 from experiments.changes import changed
@@ -14,8 +15,7 @@ def _run(*args):
 
 
 def test_measures_once_and_tabulates(tmp_path, capsys, monkeypatch):
-    changes = {"hidden_sizes": (16,), "batch_size": 16, "warmup_steps": 100}
-    monkeypatch.setitem(tuning.CONFIGURATIONS, "tiny", changes)
+    monkeypatch.setitem(tuning.CONFIGURATIONS, "tiny", TEAM | {"warmup_steps": 100})
     args = ["--only", "tiny", "--seeds", "1", "--ticks", "208", "--test-episodes", "2"]
     args += ["--out", str(tmp_path)]
     assert _run(*args) == 0
