@@ -16,3 +16,12 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     atexit.register(shutil.rmtree, _programs, ignore_errors=True)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = _programs
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
+
+# Files go to the workers one by one: what takes long must not be left for the end.
+_LONGEST = ("test_seed_sweep", "test_rollout", "test_ablation", "test_agent", "test_batch")
+
+
+def pytest_collection_modifyitems(items):
+    """Long files first, the others as they come."""
+    places = {name: place for place, name in enumerate(_LONGEST)}
+    items.sort(key=lambda item: places.get(item.path.stem, len(places)))
