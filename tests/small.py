@@ -14,6 +14,6 @@ TEAM = {
 }
 OPTIONS = tuple(
     word
-    for name, value in (TEAM | {"hidden_sizes": "16"}).items()
+    for name, value in (TEAM | {"hidden_sizes": AGENT.hidden_sizes[0]}).items()
     for word in ("--" + name.replace("_", "-"), str(value))
 )

@@ -39,7 +39,8 @@ _FRAMES, _UPDATES = 3 * 2 * 682, 1000
 def _train(agent, hyper, frames, updates):
     memory = replay.add(replay.init(frames.shape[1], 1, agent.layout), frames)
     state = agents.init(agent, jax.random.key(0))
-    for _ in range(updates // _UPDATES):
+    assert updates % _UPDATES == 0
+    for _ in range(0, updates, _UPDATES):
         state = _learn(agent, hyper, state, memory, jnp.int32(0), _UPDATES)
     return state
 
