@@ -11,16 +11,13 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
 from experiments.benchmarks.learner import measure_learner
 from experiments.benchmarks.loop import measure_loop
 from experiments.benchmarks.peers import measure_peers
 from experiments.benchmarks.pool import measure_pool
 from experiments.benchmarks.saves import measure_saves
 from experiments.benchmarks.scaling import draw_scaling, measure_scaling
-from experiments.benchmarks.timing import Row
+from experiments.benchmarks.timing import Row, print_rows
 from experiments.cli import BadInput, run_main
 from hitl_jax.envs import num_cores
 from hitl_jax.files import write_text_atomic
@@ -64,12 +61,11 @@ def main(options: BenchmarkOptions) -> int:
             raise BadInput(f"--plot {options.plot}: must end with .png or .svg")
         if "scaling" not in parts:
             raise BadInput(f"--plot {options.plot}: needs the part scaling in --only")
-    console = Console(width=None if sys.stdout.isatty() else 120)
     report: dict[str, Any] = {"versions": versions(), "cores": num_cores()}
     for part in parts:
         rows = PARTS[part](options)
         report[part] = rows
-        _print(console, part, rows)
+        print_rows(part, rows)
         if options.json is not None:
             write_text_atomic(pathlib.Path(options.json), json.dumps(report, indent=2) + "\n")
         if options.plot is not None and part == "scaling":
@@ -85,16 +81,6 @@ PARTS: dict[str, Callable[[BenchmarkOptions], list[Row]]] = {
     "saves": lambda options: measure_saves(options.seconds),
     "peers": lambda options: measure_peers(options.seconds),
 }
-
-
-def _print(console: Console, title: str, rows: list[Row]) -> None:
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    table = Table(title=title, title_justify="left")
-    for name in names:
-        table.add_column(name, justify="left" if name in ("pool", "network", "peer") else "right")
-    for row in rows:
-        table.add_row(*(str(row.get(name, "")) for name in names))
-    console.print(table)
 
 
 if __name__ == "__main__":

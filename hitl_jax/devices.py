@@ -10,7 +10,7 @@ from jaxlib import xla_client
 
 from hitl_jax.envs import num_cores
 
-_ACTING = -1
+_ACTING = "acting"
 _LEARNER_NICE = 10
 _CPU_TILE = 3
 
@@ -25,7 +25,22 @@ def learning_devices() -> tuple[jax.Device, ...]:
     if jax.default_backend() != "cpu":
         return tuple(jax.local_devices())
     asked: int = jax.config.jax_num_cpu_devices  # type: ignore[attr-defined]
-    return tuple(cpu_device(core) for core in range(asked if asked > 0 else num_cores()))
+    cores = asked if asked > 0 else num_cores()
+    return tuple(cpu_device(f"learner {core}", _LEARNER_NICE) for core in range(cores))
+
+
+def walker_devices(count: int) -> tuple[jax.Device, ...]:
+    """The devices on which `--backend jax` steps walkers.
+
+    Args:
+        count: how many are wanted, if they are CPU devices.
+
+    Returns:
+        JAX's first accelerator where it has any, else as many CPU devices.
+    """
+    if jax.default_backend() != "cpu":
+        return tuple(jax.local_devices()[:1])
+    return tuple(cpu_device(f"walkers {number}") for number in range(count))
 
 
 def default_tile(slots: int) -> int:
@@ -46,7 +61,7 @@ def acting_device() -> jax.Device:
 
 
 @functools.cache
-def cpu_device(number: int) -> jax.Device:
+def cpu_device(name: str, nice: int = 0) -> jax.Device:
     """A CPU device whose programs run on a thread of its own.
 
     The devices of one XLA client share its threads, which pass pieces of a program from core to
@@ -57,9 +72,10 @@ def cpu_device(number: int) -> jax.Device:
     walkers are waited for at every tick, the learner has a chunk or two in hand.
 
     Args:
-        number: any; the same number gives the same device.
+        name: any; the same name gives the same device.
+        nice: by how much its threads go last, on Linux.
     """
-    nice = 0 if number == _ACTING or sys.platform != "linux" else _LEARNER_NICE
+    nice = nice if sys.platform == "linux" else 0
     with ThreadPoolExecutor(
         1
     ) as starter:  # A client's threads inherit from the one that starts it.

@@ -48,7 +48,7 @@ def _learn(runs, tile, skip=(), device=0):
 
 
 def _empty(num_runs, device=0):
-    return batch.empty_seats(_AGENT, num_runs, 64, cpu_device(device))
+    return batch.empty_seats(_AGENT, num_runs, 64, cpu_device(f"learner {device}"))
 
 
 def _same(one, other):

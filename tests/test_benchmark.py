@@ -17,7 +17,7 @@ from experiments.benchmarks.timing import busy_seconds, memory_mb, stolen_second
 from experiments.cli import run_main
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Method
-from hitl_jax.devices import cpu_device
+from hitl_jax.devices import learning_devices
 from hitl_jax.rollout import Rollout
 
 
@@ -125,6 +125,6 @@ def test_busy_are_learners_and_children_not_this_thread():
         assert after.walkers - before.walkers > 0.05
     assert after.learner - before.learner < 0.02
     product = jax.jit(lambda x: x @ x)
-    x = jax.device_put(np.ones((1500, 1500), np.float32), cpu_device(0))
+    x = jax.device_put(np.ones((1500, 1500), np.float32), learning_devices()[0])
     product(x).block_until_ready()
     assert busy_seconds().learner - after.learner > 0.01

@@ -12,8 +12,8 @@ from hitl_jax import devices
 _SCRIPT = """
 import os, pathlib
 os.nice(3)
-from hitl_jax.devices import acting_device, cpu_device
-acting_device(), cpu_device(0)
+from hitl_jax.devices import acting_device, learning_devices
+acting_device(), learning_devices()
 tasks = pathlib.Path("/proc/self/task").iterdir()
 nice = {os.getpriority(os.PRIO_PROCESS, int(task.name)) for task in tasks}
 print(os.getpriority(os.PRIO_PROCESS, 0), *sorted(nice))

@@ -280,7 +280,7 @@ def test_order_of_calls(toys):
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (("mujoco", 1), "backend 'mujoco': must be one of lean, gymnasium, envpool"),
+        (("mujoco", 1), "backend 'mujoco': must be one of lean, gymnasium, envpool, jax"),
         (("gymnasium", 0), "num_walkers 0: must be a whole number of at least 1"),
         (("gymnasium", 2.0), "num_walkers 2.0: must be"),
         (("envpool", 4, -1), "num_workers -1: must be"),
@@ -303,4 +303,4 @@ def test_imports_are_lazy():
 
 
 def test_backends():
-    assert BACKENDS == ("lean", "gymnasium", "envpool")
+    assert BACKENDS == ("lean", "gymnasium", "envpool", "jax")

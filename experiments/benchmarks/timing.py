@@ -10,6 +10,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+from rich.console import Console
+from rich.table import Table
 
 Row = dict[str, Any]
 
@@ -30,6 +32,18 @@ def best(call: Callable[[], Any], seconds: float) -> float:
         jax.block_until_ready(result)
         least = min(least, (time.perf_counter() - start) / count)
     return least
+
+
+def print_rows(title: str, rows: list[Row]) -> None:
+    """Prints a table; columns of words stand to the left."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    table = Table(title=title, title_justify="left")
+    for name in names:
+        words = all(isinstance(row.get(name, ""), str) for row in rows)
+        table.add_column(name, justify="left" if words else "right")
+    for row in rows:
+        table.add_row(*(str(row.get(name, "")) for name in names))
+    Console(width=None if sys.stdout.isatty() else 120).print(table)
 
 
 def memory_mb(children: bool = False) -> float:

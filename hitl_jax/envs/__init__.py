@@ -4,7 +4,7 @@ import os
 
 from hitl_jax.envs.base import Command, StepBatch, WalkerError, WalkerPool
 
-BACKENDS = ("lean", "gymnasium", "envpool")
+BACKENDS = ("lean", "gymnasium", "envpool", "jax")
 WALKER = "BipedalWalker-v3"
 LEAN_WALKERS = (WALKER, "BipedalWalkerHardcore-v3")
 
@@ -34,10 +34,11 @@ def make_pool(
     Args:
         backend: `gymnasium` (the official environment in worker processes; episodes are seeded),
             `lean` (equal to it bit for bit, in half the time; for the walkers of `LEAN_WALKERS`
-            only) or `envpool` (its Box2D is another version and episodes cannot be seeded).
+            only), `envpool` (its Box2D is another version and episodes cannot be seeded) or `jax`
+            (`hitl_jax.walker`, which agrees with it up to rounding; plain terrain only).
         num_walkers: N.
-        num_workers: processes, or threads of `envpool`, at most N are used; by default one for each
-            core that this process may use.
+        num_workers: processes, or threads of `envpool`, or CPU devices of `jax`, at most N are
+            used; by default one for each core that this process may use.
         env_id: an environment with flat observations and flat continuous actions.
         seed: seed of all EnvPool's episodes together, in [0, 2³¹). The others do not read it: there
             each RESET brings a seed.
@@ -60,6 +61,12 @@ def make_pool(
         from hitl_jax.envs.envpool_pool import EnvpoolPool
 
         return EnvpoolPool(env_id, num_walkers, num_workers, seed=seed)
+    if backend == "jax":
+        if env_id != WALKER:
+            raise ValueError(f"env_id {env_id!r}: must be {WALKER} with backend 'jax'")
+        from hitl_jax.envs.jax_pool import JaxPool
+
+        return JaxPool(num_walkers, num_workers)
     if backend == "lean" and env_id not in LEAN_WALKERS:
         raise ValueError(
             f"env_id {env_id!r}: must be one of {', '.join(LEAN_WALKERS)} with backend 'lean'; "

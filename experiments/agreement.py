@@ -1,0 +1,74 @@
+"""How well `hitl_jax.walker` agrees with Box2D: `python -m experiments.agreement`."""
+
+import dataclasses
+import pathlib
+import sys
+from collections.abc import Callable
+
+from experiments.agreements.returns import measure_scripted, measure_trained
+from experiments.agreements.states import measure_rollout, measure_step
+from experiments.benchmarks.timing import Row, print_rows
+from experiments.cli import BadInput, run_main
+from hitl_jax.config import require
+
+
+@dataclasses.dataclass(frozen=True)
+class AgreementOptions:
+    """Compare the walker in JAX with gymnasium's: one step, rollouts, returns, trained walkers.
+
+    Attributes:
+        only: parts: some of step, rollout, scripted, trained.
+        episodes: of the scripted walker in each environment.
+        test_episodes: of a trained walker in each.
+        trained: folders of sweeps whose walkers are played; each is at home in the environment that
+            it was trained in.
+        runs: trained walkers of a folder, spread over its methods.
+        seed: of the states that are compared.
+    """
+
+    only: tuple[str, ...] = ("step", "rollout", "scripted", "trained")
+    episodes: int = 1000
+    test_episodes: int = 100
+    trained: tuple[str, ...] = ("results/ten_seeds",)
+    runs: int = 6
+    seed: int = 0
+
+
+def main(options: AgreementOptions) -> int:
+    """Measures, and prints a table a part.
+
+    Args:
+        options: what to compare.
+
+    Returns:
+        The exit code.
+    """
+    parts = [part for given in options.only for part in given.split(",")]
+    if not parts or not PARTS.keys() >= set(parts):
+        raise BadInput(f"--only {' '.join(options.only)}: must be some of {', '.join(PARTS)}")
+    try:
+        for name in ("episodes", "test_episodes", "runs"):
+            require(name, getattr(options, name), at_least=1)
+        require("seed", options.seed, at_least=0)
+    except ValueError as error:
+        raise BadInput(str(error)) from error
+    for folder in options.trained:
+        if "trained" in parts and not (pathlib.Path(folder) / "config.json").exists():
+            raise BadInput(f"--trained {folder}: holds no results")
+    for part in parts:
+        print_rows(part, PARTS[part](options))
+    return 0
+
+
+PARTS: dict[str, Callable[[AgreementOptions], list[Row]]] = {
+    "step": lambda options: measure_step(options.seed),
+    "rollout": lambda options: measure_rollout(options.seed),
+    "scripted": lambda options: measure_scripted(options.episodes),
+    "trained": lambda options: measure_trained(
+        options.trained, options.runs, options.test_episodes
+    ),
+}
+
+
+if __name__ == "__main__":
+    sys.exit(run_main(AgreementOptions, main))

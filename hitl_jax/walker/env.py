@@ -1,0 +1,194 @@
+"""BipedalWalker-v3 as pure functions of one walker; `vmap` them over as many as you like."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hitl_jax.walker import ground, hinges, parts, touch, world
+from hitl_jax.walker.flat import of_one
+from hitl_jax.walker.hinges import Impulses
+from hitl_jax.walker.plane import Vec, pose, vec
+from hitl_jax.walker.world import World
+
+OBSERVATION_SIZE = 24
+ACTION_SIZE = 4
+MOST_STEPS = 1600
+"""Of an episode, by gymnasium's registration of BipedalWalker-v3."""
+
+_official = parts.official
+_EFFORT = 0.00035 * _official.MOTORS_TORQUE
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Walker:
+    """A walker in the middle of an episode.
+
+    Attributes:
+        world: its bodies; see `World`, without the last axis.
+        heights: of its ground [200] [m].
+        shaping: the potential whose growth is the reward.
+        steps: made so far, -1 before the one that ends the reset, int32.
+    """
+
+    world: World
+    heights: jax.Array
+    shaping: jax.Array
+    steps: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Step:
+    """What came of a step; `terminated` and `truncated` can both be true.
+
+    Attributes:
+        observation: [24].
+        reward: of the step.
+        terminated: whether the walker fell or reached the end, bool.
+        truncated: whether the step was the last that an episode may have, bool.
+    """
+
+    observation: jax.Array
+    reward: jax.Array
+    terminated: jax.Array
+    truncated: jax.Array
+
+
+def reset(key: jax.Array) -> tuple[Walker, jax.Array]:
+    """Begins an episode on new plain terrain.
+
+    Args:
+        key: consumed.
+
+    Returns:
+        The walker, and the first observation [24].
+    """
+    walker, first = step(made(key), jnp.zeros(ACTION_SIZE))
+    return walker, first.observation
+
+
+def made(key: jax.Array) -> Walker:
+    """A walker as gymnasium's reset makes it, before the step without motors that ends the reset.
+
+    Args:
+        key: consumed.
+
+    Returns:
+        The walker; `step` it with an action of zeros.
+    """
+    ground_key, push_key = jax.random.split(key)
+    most = _official.INITIAL_RANDOM
+    push = jax.random.uniform(push_key, minval=-most, maxval=most)
+    return made_on(ground.grass(ground_key), push)
+
+
+def made_on(heights: jax.Array, push: jax.Array) -> Walker:
+    """A walker on given terrain; see `made`.
+
+    Args:
+        heights: of the ground [200] [m].
+        push: that the hull gets in the first step [N].
+
+    Returns:
+        The walker.
+    """
+    return Walker(_bodies(push), heights, jnp.float32(0.0), jnp.int32(-1))
+
+
+def _bodies(push: jax.Array) -> World:
+    """The bodies as gymnasium makes them; its hinges pull them together in the first steps."""
+    x = _official.TERRAIN_STEP * _official.TERRAIN_STARTPAD / 2
+    y = _official.TERRAIN_HEIGHT + 2 * _official.LEG_H
+    thigh = y - _official.LEG_H / 2 - _official.LEG_DOWN
+    shin = y - _official.LEG_H * 3 / 2 - _official.LEG_DOWN
+    hull = np.array([x, y]) + parts.HULL_CENTRE
+    zero = jnp.zeros(5, jnp.float32)
+    hinge = jnp.zeros(4, jnp.float32)
+    pushed = push * np.float32(parts.SECONDS * parts.INVERSE_MASS[0])
+    return World(
+        place=Vec(
+            jnp.asarray([hull[0], x, x, x, x], jnp.float32),
+            jnp.asarray([hull[1], thigh, shin, thigh, shin], jnp.float32),
+        ),
+        angle=jnp.asarray([0.0, *parts.START_TILTS], jnp.float32),
+        velocity=Vec(zero.at[0].set(pushed), zero),
+        spin=zero,
+        impulses=Impulses(Vec(hinge, hinge), hinge, hinge),
+        contacts=jax.tree.map(lambda leaf: leaf[..., 0], touch.no_contacts(1)),
+        feet=jnp.zeros(4, bool),
+        fallen=jnp.zeros((), bool),
+    )
+
+
+def _advance(
+    before: World, action: jax.Array, heights: jax.Array
+) -> tuple[World, jax.Array, jax.Array]:
+    """The world after a step, the observation and the place of the hull; last axis is the batch."""
+    speed = jnp.asarray(parts.SPEEDS[:, None], jnp.float32) * jnp.sign(action)
+    torque = parts.TORQUE * jnp.clip(jnp.abs(action), 0, 1)
+    after = world.step(before, speed, torque, heights)
+    observation, place = observe(after, heights)
+    return after, observation, place
+
+
+def observe(now: World, heights: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """What a walker sees; the last axis is the batch.
+
+    Args:
+        now: the world.
+        heights: of the ground [200, B].
+
+    Returns:
+        Observations [24, B], and how far the hull has come [B] [m].
+    """
+    angle, spin = now.angle[0], now.spin[0]
+    body = pose(Vec(now.place.x[0], now.place.y[0]), angle)
+    origin = body.put(vec(-parts.HULL_CENTRE))
+    fps, scale = _official.FPS, _official.SCALE
+    bend, speed = hinges.angles(now.angle), hinges.speeds(now.spin)
+    feet = now.feet.astype(jnp.float32)
+    legs = [
+        row
+        for leg in range(2)
+        for row in (
+            bend[2 * leg],
+            speed[2 * leg] / _official.SPEED_HIP,
+            bend[2 * leg + 1] + 1.0,
+            speed[2 * leg + 1] / _official.SPEED_KNEE,
+            feet[2 * leg + 1],
+        )
+    ]
+    seen = [
+        angle,
+        2.0 * spin / fps,
+        0.3 * now.velocity.x[0] * (_official.VIEWPORT_W / scale) / fps,
+        0.3 * now.velocity.y[0] * (_official.VIEWPORT_H / scale) / fps,
+        *legs,
+    ]
+    return jnp.concatenate([jnp.stack(seen), ground.lidar(heights, origin)]), origin.x
+
+
+_advance_one = of_one(_advance)
+
+
+def step(walker: Walker, action: jax.Array) -> tuple[Walker, Step]:
+    """One step of 0.02 s.
+
+    Args:
+        walker: before it.
+        action: of hip and knee, hip and knee [4]; beyond [-1, 1] it is clipped.
+
+    Returns:
+        The walker after it, and what came of it. After the end of an episode it means nothing.
+    """
+    after, observation, place = _advance_one(walker.world, action, walker.heights)
+    shaping = 130 * place / _official.SCALE - 5.0 * jnp.abs(observation[0])
+    effort = (_EFFORT * jnp.clip(jnp.abs(action), 0, 1)).sum()
+    fallen = after.fallen | (place < 0)
+    reward = jnp.where(fallen, -100.0, shaping - walker.shaping - effort)
+    steps = walker.steps + 1
+    made = Step(observation, reward, fallen | (place > parts.GOAL), steps >= MOST_STEPS)
+    return Walker(after, walker.heights, shaping, steps), made

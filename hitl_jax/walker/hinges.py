@@ -1,0 +1,298 @@
+"""The four hinges: motors, limits and the point that two parts share, by sequential impulses.
+
+Arrays are [4 hinges, B] where not said otherwise; bodies are rows of [5, B].
+
+Source: E. Catto, "Iterative Dynamics with Temporal Coherence", 2005, and the behaviour of Box2D
+2.3's revolute joint.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hitl_jax.walker import parts
+from hitl_jax.walker.once import once
+from hitl_jax.walker.plane import Pose, Vec, cross, dot, pose, vec
+
+_A, _B = np.array(parts.HINGES).T
+
+
+def _column(values: np.ndarray) -> jax.Array:
+    return jnp.asarray(values, jnp.float32)[..., None]
+
+
+_MASS_A, _MASS_B = (_column(parts.INVERSE_MASS[body]) for body in (_A, _B))
+_INERTIA_A, _INERTIA_B = (_column(parts.INVERSE_INERTIA[body]) for body in (_A, _B))
+_MOTOR_MASS = 1.0 / (_INERTIA_A + _INERTIA_B)
+_ANCHOR_A, _ANCHOR_B = vec(parts.ANCHORS[:, 0], 1), vec(parts.ANCHORS[:, 1], 1)
+_LOWER, _UPPER = _column(parts.LOWER), _column(parts.UPPER)
+_REFERENCE = _column(parts.REFERENCE)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Impulses:
+    """What the hinges did in a step, with which the next begins.
+
+    Attributes:
+        point: that holds the two bodies together [N s].
+        limit: of the limit; above 0 at the lower one, below at the upper one [N m s].
+        motor: of the motor [N m s].
+    """
+
+    point: Vec
+    limit: jax.Array
+    motor: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Hinges:
+    """What stays as it is during a step's velocity rounds.
+
+    Attributes:
+        arm_a: from the first body's centre of mass to the hinge [m].
+        arm_b: from the second's.
+        side: 1 at the lower limit, -1 at the upper one, 0 between.
+        inverse: of the 2 by 2 matrix of the point: xx, xy, yy.
+        full: the inverse of the 3 by 3 matrix of point and limit: xx, xy, xz, yy, yz, zz.
+        coupling: of point and limit in that matrix.
+        speed: the motor's [rad/s].
+        strength: the most the motor gives in a step [N m s].
+    """
+
+    arm_a: Vec
+    arm_b: Vec
+    side: jax.Array
+    inverse: tuple[jax.Array, jax.Array, jax.Array]
+    full: tuple[jax.Array, ...]
+    coupling: Vec
+    speed: jax.Array
+    strength: jax.Array
+
+
+def angles(angle: jax.Array) -> jax.Array:
+    """The hinges' angles [4, B] from those of the bodies [5, B] [rad]."""
+    return angle[_B] - angle[_A] - _REFERENCE
+
+
+def speeds(spin: jax.Array) -> jax.Array:
+    """How fast the hinges turn [4, B] [rad/s]."""
+    return spin[_B] - spin[_A]
+
+
+def prepare(body: Pose, angle: jax.Array, speed: jax.Array, torque: jax.Array) -> Hinges:
+    """The hinges at the beginning of a step.
+
+    Args:
+        body: poses of the bodies, [5, B].
+        angle: of the bodies [5, B] [rad].
+        speed: of the motors [rad/s].
+        torque: the most the motors give [N m].
+
+    Returns:
+        The hinges.
+    """
+    arm_a, arm_b = _turned(body, _A, _ANCHOR_A), _turned(body, _B, _ANCHOR_B)
+    now = angles(angle)
+    side = jnp.where(now <= _LOWER, 1.0, jnp.where(now >= _UPPER, -1.0, 0.0))
+    xx, xy, yy = _point_matrix(arm_a, arm_b)
+    coupling = Vec(
+        -arm_a.y * _INERTIA_A - arm_b.y * _INERTIA_B, arm_a.x * _INERTIA_A + arm_b.x * _INERTIA_B
+    )
+    zz = _INERTIA_A + _INERTIA_B
+    return Hinges(
+        arm_a=arm_a,
+        arm_b=arm_b,
+        side=side,
+        inverse=_inverse_2(xx, xy, yy),
+        full=_inverse_3(xx, xy, coupling.x, yy, coupling.y, zz),
+        coupling=coupling,
+        speed=speed,
+        strength=parts.SECONDS * torque,
+    )
+
+
+def _turned(body: Pose, rows: np.ndarray, local: Vec) -> Vec:
+    cos, sin = body.cos[rows], body.sin[rows]
+    return Vec(cos * local.x - sin * local.y, sin * local.x + cos * local.y)
+
+
+def _point_matrix(arm_a: Vec, arm_b: Vec) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """How a point answers an impulse: xx, xy, yy."""
+    mass = _MASS_A + _MASS_B
+    xx = mass + arm_a.y * arm_a.y * _INERTIA_A + arm_b.y * arm_b.y * _INERTIA_B
+    xy = -arm_a.y * arm_a.x * _INERTIA_A - arm_b.y * arm_b.x * _INERTIA_B
+    yy = mass + arm_a.x * arm_a.x * _INERTIA_A + arm_b.x * arm_b.x * _INERTIA_B
+    return xx, xy, yy
+
+
+def _inverse_2(
+    xx: jax.Array, xy: jax.Array, yy: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    scale = 1.0 / (xx * yy - xy * xy)
+    return yy * scale, -xy * scale, xx * scale
+
+
+def _inverse_3(
+    xx: jax.Array, xy: jax.Array, xz: jax.Array, yy: jax.Array, yz: jax.Array, zz: jax.Array
+) -> tuple[jax.Array, ...]:
+    a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    scale = 1.0 / (xx * a + xy * b + xz * c)
+    return a * scale, b * scale, c * scale, d * scale, e * scale, f * scale
+
+
+def begin(hinges: Hinges, impulses: Impulses) -> Impulses:
+    """The impulses to begin with: that of a limit which no longer holds is dropped."""
+    holds = hinges.side * impulses.limit > 0
+    return Impulses(impulses.point, jnp.where(holds, impulses.limit, 0.0), impulses.motor)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """The velocity of one body, [B].
+
+    Attributes:
+        velocity: of its centre of mass [m/s].
+        spin: [rad/s].
+    """
+
+    velocity: Vec
+    spin: jax.Array
+
+
+def _push(rows: list[Row], hinges: Hinges, index: int, point: Vec, turn: jax.Array) -> None:
+    """Gives an impulse at a hinge and a turning one to its two bodies."""
+    first, second = parts.HINGES[index]
+    arm_a, arm_b = _row(hinges.arm_a, index), _row(hinges.arm_b, index)
+    mass, inertia = parts.INVERSE_MASS, parts.INVERSE_INERTIA
+    a, b = rows[first], rows[second]
+    rows[first] = Row(
+        a.velocity - point * float(mass[first]),
+        a.spin - float(inertia[first]) * (cross(arm_a, point) + turn),
+    )
+    rows[second] = Row(
+        b.velocity + point * float(mass[second]),
+        b.spin + float(inertia[second]) * (cross(arm_b, point) + turn),
+    )
+
+
+def _row(vectors: Vec, index: int) -> Vec:
+    return Vec(vectors.x[index], vectors.y[index])
+
+
+def warm(rows: list[Row], hinges: Hinges, impulses: Impulses) -> list[Row]:
+    """Velocities after the impulses to begin with."""
+    rows = list(rows)
+    for index in parts.HINGE_ORDER:
+        turn = impulses.motor[index] + impulses.limit[index]
+        _push(rows, hinges, index, _row(impulses.point, index), turn)
+    return rows
+
+
+def velocity_round(
+    rows: list[Row], hinges: Hinges, impulses: list[Impulses]
+) -> tuple[list[Row], list[Impulses]]:
+    """One round over the hinges.
+
+    Args:
+        rows: velocities of the five bodies.
+        hinges: that do not change.
+        impulses: so far, one for each hinge, [B].
+
+    Returns:
+        Velocities and impulses after it.
+    """
+    rows, impulses = list(rows), list(impulses)
+    for index in parts.HINGE_ORDER:
+        impulses[index] = _solve(rows, hinges, index, impulses[index])
+    return rows, impulses
+
+
+def _solve(rows: list[Row], hinges: Hinges, index: int, before: Impulses) -> Impulses:
+    """Motor, then point and limit together, of one hinge; changes the two rows."""
+    first, second = parts.HINGES[index]
+    motor_mass = float(1.0 / (parts.INVERSE_INERTIA[first] + parts.INVERSE_INERTIA[second]))
+    strength = hinges.strength[index]
+    slip = rows[second].spin - rows[first].spin - hinges.speed[index]
+    motor = once(jnp.clip(before.motor - motor_mass * slip, -strength, strength))
+    zero = jnp.zeros_like(motor)
+    _push(rows, hinges, index, Vec(zero, zero), motor - before.motor)
+
+    a, b = rows[first], rows[second]
+    arm_a, arm_b = _row(hinges.arm_a, index), _row(hinges.arm_b, index)
+    x = b.velocity.x - b.spin * arm_b.y - a.velocity.x + a.spin * arm_a.y
+    y = b.velocity.y + b.spin * arm_b.x - a.velocity.y - a.spin * arm_a.x
+    x, y, z = once((x, y, b.spin - a.spin))
+    side, limit = hinges.side[index], before.limit
+    xx, xy, xz, yy, yz, zz = (entry[index] for entry in hinges.full)
+    turn = -(xz * x + yz * y + zz * z)
+    holds = (side != 0) & (side * (limit + turn) >= 0)
+    turn = jnp.where(holds, turn, -limit)
+    # Where the limit would pull it lets go, and the point is solved without it.
+    coupling = _row(hinges.coupling, index)
+    alone_x, alone_y = limit * coupling.x - x, limit * coupling.y - y
+    pxx, pxy, pyy = (entry[index] for entry in hinges.inverse)
+    point = Vec(
+        jnp.where(holds, -(xx * x + xy * y + xz * z), pxx * alone_x + pxy * alone_y),
+        jnp.where(holds, -(xy * x + yy * y + yz * z), pxy * alone_x + pyy * alone_y),
+    )
+    point, turn = once((point, turn))
+    _push(rows, hinges, index, point, turn)
+    return Impulses(before.point + point, limit + turn, motor)
+
+
+def position_round(
+    places: list[Vec], turns: list[jax.Array], side: jax.Array
+) -> tuple[list[Vec], list[jax.Array], jax.Array]:
+    """One round of putting the bodies of each hinge together again.
+
+    Args:
+        places: centres of mass of the five bodies, [B] each.
+        turns: their angles [rad].
+        side: of the limits, as `Hinges.side`.
+
+    Returns:
+        Places and turns after it, and whether all was well before, bool [B].
+    """
+    places, turns = list(places), list(turns)
+    good = jnp.ones(side.shape[1:], bool)
+    for index in parts.HINGE_ORDER:
+        first, second = parts.HINGES[index]
+        inertia_a, inertia_b = (float(parts.INVERSE_INERTIA[body]) for body in (first, second))
+        mass_a, mass_b = (float(parts.INVERSE_MASS[body]) for body in (first, second))
+        motor_mass = 1.0 / (inertia_a + inertia_b)
+        # How far beyond the limit, the same for both limits but for the sign.
+        angle = turns[second] - turns[first] - float(parts.REFERENCE[index])
+        at = side[index]
+        bound = jnp.where(at > 0, float(parts.LOWER[index]), float(parts.UPPER[index]))
+        beyond = at * (bound - angle)
+        good &= (at == 0) | (beyond <= parts.ANGULAR_SLOP)
+        excess = jnp.clip(beyond - parts.ANGULAR_SLOP, 0.0, parts.MAX_ANGULAR_CORRECTION)
+        turn = at * motor_mass * excess
+        turn_a, turn_b = once((turns[first] - inertia_a * turn, turns[second] + inertia_b * turn))
+
+        arm_a = pose(places[first], turn_a).turned(vec(parts.ANCHORS[index, 0]))
+        arm_b = pose(places[second], turn_b).turned(vec(parts.ANCHORS[index, 1]))
+        apart = places[second] + arm_b - places[first] - arm_a
+        arm_a, arm_b, apart = once((arm_a, arm_b, apart))
+        good &= dot(apart, apart) <= parts.LINEAR_SLOP**2
+        xx = mass_a + mass_b + inertia_a * arm_a.y * arm_a.y + inertia_b * arm_b.y * arm_b.y
+        xy = -inertia_a * arm_a.x * arm_a.y - inertia_b * arm_b.x * arm_b.y
+        yy = mass_a + mass_b + inertia_a * arm_a.x * arm_a.x + inertia_b * arm_b.x * arm_b.x
+        scale = -1.0 / (xx * yy - xy * xy)
+        push = once(
+            Vec(scale * (yy * apart.x - xy * apart.y), scale * (xx * apart.y - xy * apart.x))
+        )
+        places[first], places[second] = (
+            places[first] - push * mass_a,
+            places[second] + push * mass_b,
+        )
+        turns[first] = turn_a - inertia_a * cross(arm_a, push)
+        turns[second] = turn_b + inertia_b * cross(arm_b, push)
+    places, turns = once((places, turns))
+    return places, turns, good

@@ -1,0 +1,386 @@
+"""Parts that would enter the ground within a step: when they meet it, and what becomes of them.
+
+The rest of a step after an impact is made by the part alone, apart from its hinges, as Box2D does
+it; the hinges are put together again in the next step. Arrays are [slots, parts, B] where not said
+otherwise, those of parts alone [parts, B].
+
+Source: E. Catto, "Continuous Collision", GDC 2013, and the behaviour of Box2D 2.3's
+`b2TimeOfImpact` and `b2World::SolveTOI`.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hitl_jax.walker import grips, parts, touch
+from hitl_jax.walker.plane import Pose, Vec, cross, dot, pose, tangent, where
+from hitl_jax.walker.touch import CORNERS, NORMALS, Contacts, Edges
+
+_TARGET = parts.LINEAR_SLOP
+"""An impact leaves this distance between the cores [m]: the skins' thickness less three slops."""
+_TOLERANCE = 0.25 * parts.LINEAR_SLOP
+NEAR = _TARGET + _TOLERANCE
+"""Closer than this, cores have met [m]."""
+_ADVANCES, _PUSHES, _ROOTS = 20, 8, 50
+_MOST_IMPACTS = 8
+"""Of one contact in a step."""
+_FIRMNESS, _POSITION_ROUNDS, _GOOD_ENOUGH = 0.75, 20, -1.5 * parts.LINEAR_SLOP
+_STILL = 1e-6
+"""Velocity rounds that change no velocity by more [m/s, rad/s] are the last: a part alone with the
+ground needs few of its 180."""
+_ALL = 1.0 - 10 * float(np.finfo(np.float32).eps)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """The motion of parts within a step, linear in time.
+
+    Attributes:
+        place: where they begin [m].
+        turn: their angles there [rad].
+        end_place: where they end.
+        end_turn: their angles there.
+    """
+
+    place: Vec
+    turn: jax.Array
+    end_place: Vec
+    end_turn: jax.Array
+
+    def at(self, time: jax.Array | float) -> Pose:
+        """The pose at a time from 0 to 1."""
+        place, turn = self.part_way(time)
+        return pose(place, turn)
+
+    def part_way(self, time: jax.Array | float) -> tuple[Vec, jax.Array]:
+        """Place and angle at a time from 0 to 1."""
+        place = self.place * (1.0 - time) + self.end_place * time
+        return place, (1.0 - time) * self.turn + time * self.end_turn
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class _Axis:
+    """Along which the distance of an edge and a part is followed.
+
+    Attributes:
+        of_part: whether it turns with the part.
+        normal: from the edge to the part in the world, or else from the part to the edge, in it.
+        anchor: a point of the edge in the world, or else one of the part, in it.
+    """
+
+    of_part: jax.Array
+    normal: Vec
+    anchor: Vec
+
+    def deepest(self, part: Pose, edges: Edges) -> Vec:
+        """The point that is deepest: of the part, in it; or else of the edge, in the world."""
+        corners = [dot(part.turned(corner), self.normal) for corner in CORNERS]
+        chosen, least = CORNERS[0], corners[0]
+        for corner, value in zip(CORNERS[1:], corners[1:], strict=True):
+            chosen, least = where(value < least, corner, chosen), jnp.minimum(value, least)
+        turned = part.turned(self.normal)
+        of_edge = where(dot(edges.end - edges.start, turned) < 0, edges.end, edges.start)
+        return where(self.of_part, of_edge, chosen)
+
+    def distance(self, part: Pose, point: Vec) -> jax.Array:
+        """Of a point, found by `deepest`, from the other side [m]."""
+        of_part = dot(point - part.put(self.anchor), part.turned(self.normal))
+        return jnp.where(self.of_part, of_part, dot(part.put(point) - self.anchor, self.normal))
+
+
+def _closest(part: Pose, edges: Edges) -> tuple[jax.Array, _Axis]:
+    """Distance of the cores [m], 0 where they overlap, and the axis between what is closest."""
+    along = edges.end - edges.start
+    square = dot(along, along)
+    corners = [part.put(corner) for corner in CORNERS]
+    best = jnp.full_like(square, jnp.inf)
+    of_part = jnp.zeros_like(square, bool)
+    normal, anchor = along, along
+    for corner in corners:
+        share = dot(corner - edges.start, along) / square
+        on_edge = edges.start + along * jnp.clip(share, 0.0, 1.0)
+        apart = corner - on_edge
+        distance = dot(apart, apart)
+        inside = (share > 0) & (share < 1)
+        upright = tangent(along) * (1.0 / jnp.sqrt(square))
+        upright = where(dot(upright, apart) < 0, -upright, upright)
+        direction = where(inside, upright, apart * (1.0 / jnp.sqrt(jnp.maximum(distance, 1e-30))))
+        nearer = distance < best
+        normal = where(nearer, direction, normal)
+        anchor = where(nearer, where(inside, edges.start, on_edge), anchor)
+        best = jnp.minimum(best, distance)
+    overlaps = jnp.ones_like(of_part)
+    local_start, local_end = part.took(edges.start), part.took(edges.end)
+    sides = zip(CORNERS, CORNERS[1:] + CORNERS[:1], NORMALS, strict=True)
+    for corner, following, outward in sides:
+        side = following - corner
+        for end in (local_start, local_end):
+            share = dot(end - corner, side) / dot(side, side)
+            depth = dot(end - corner, outward)
+            nearer = (share > 0) & (share < 1) & (depth > 0) & (depth * depth < best)
+            of_part = of_part | nearer
+            normal = where(nearer, outward, normal)
+            anchor = where(nearer, (corner + following) * 0.5, anchor)
+            best = jnp.where(nearer, depth * depth, best)
+        beside = jnp.minimum(dot(local_start - corner, outward), dot(local_end - corner, outward))
+        overlaps = overlaps & (beside <= 0)
+    heights = [cross(along, corner - edges.start) for corner in corners]
+    above, below = (jnp.ones_like(overlaps) for _ in range(2))
+    for height in heights:
+        above, below = above & (height > 0), below & (height < 0)
+    overlaps = overlaps & ~above & ~below
+    return jnp.where(overlaps, 0.0, jnp.sqrt(best)), _Axis(of_part, normal, anchor)
+
+
+def time_of_impact(sweep: Sweep, edges: Edges) -> jax.Array:
+    """When parts meet edges, by conservative advancement.
+
+    Args:
+        sweep: of the parts.
+        edges: near them.
+
+    Returns:
+        Times from 0 to 1; 1 where they do not meet, or overlap to begin with.
+    """
+
+    def advance(carry: tuple) -> tuple:
+        count, time, met, active = carry
+        part = sweep.at(time)
+        distance, axis = _closest(part, edges)
+        touching = distance < _TARGET + _TOLERANCE
+        met = met | (active & touching & (distance > 0))
+        active = active & ~touching
+        time, lands, goes_on = _follow(sweep, edges, axis, time, active)
+        return count + 1, time, met | lands, goes_on
+
+    def goes(carry: tuple) -> jax.Array:
+        count, _, _, active = carry
+        return active.any() & (count < _ADVANCES)
+
+    zero = jnp.zeros_like(edges.start.x)
+    never = jnp.zeros_like(zero, bool)
+    _, time, met, _ = jax.lax.while_loop(goes, advance, (0, zero, never, edges.exist))
+    return jnp.where(met, time, 1.0)
+
+
+def _follow(
+    sweep: Sweep, edges: Edges, axis: _Axis, time: jax.Array, active: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Goes along one axis as far as it can.
+
+    Returns:
+        The new time; where it lands there; where another axis is to be looked for.
+    """
+
+    def push(carry: tuple) -> tuple:
+        count, time, late, pushing, lands, goes_on = carry
+        at_late = sweep.at(late)
+        point = axis.deepest(at_late, edges)
+        deep = axis.distance(at_late, point)
+        apart = deep > _TARGET + _TOLERANCE
+        advanced = pushing & ~apart & (deep > _TARGET - _TOLERANCE)
+        time = jnp.where(advanced, late, time)
+        goes_on = goes_on | advanced
+        pushing = pushing & ~apart & ~advanced
+        now = axis.distance(sweep.at(time), point)
+        failed, there = now < _TARGET - _TOLERANCE, now <= _TARGET + _TOLERANCE
+        lands = lands | (pushing & there & ~failed)
+        pushing = pushing & ~there & ~failed
+        late = jnp.where(pushing, _root(sweep, axis, point, time, late, now, deep, pushing), late)
+        return count + 1, time, late, pushing, lands, goes_on
+
+    def goes(carry: tuple) -> jax.Array:
+        count, _, _, pushing, _, _ = carry
+        return pushing.any() & (count < _PUSHES)
+
+    never = jnp.zeros_like(active)
+    start = (0, time, jnp.ones_like(time), active, never, never)
+    _, time, _, pushing, lands, goes_on = jax.lax.while_loop(goes, push, start)
+    return time, lands, goes_on | pushing
+
+
+def _root(
+    sweep: Sweep,
+    axis: _Axis,
+    point: Vec,
+    early: jax.Array,
+    late: jax.Array,
+    far: jax.Array,
+    deep: jax.Array,
+    active: jax.Array,
+) -> jax.Array:
+    """The time at which a point is at the target's distance; halving and secants by turns."""
+
+    def step(carry: tuple) -> tuple:
+        count, early, late, far, deep, time, active = carry
+        secant = early + (_TARGET - far) * (late - early) / (deep - far)
+        guess = jnp.where(count % 2 == 1, secant, 0.5 * (early + late))
+        time = jnp.where(active, guess, time)
+        distance = axis.distance(sweep.at(guess), point)
+        active = active & ~(jnp.abs(distance - _TARGET) < _TOLERANCE)
+        is_early = active & (distance > _TARGET)
+        is_late = active & ~(distance > _TARGET)
+        early, far = jnp.where(is_early, guess, early), jnp.where(is_early, distance, far)
+        late, deep = jnp.where(is_late, guess, late), jnp.where(is_late, distance, deep)
+        return count + 1, early, late, far, deep, time, active
+
+    def goes(carry: tuple) -> jax.Array:
+        return carry[-1].any() & (carry[0] < _ROOTS)
+
+    start = (0, early, late, far, deep, late, active)
+    return jax.lax.while_loop(goes, step, start)[5]
+
+
+def may_meet(end: Pose, edges: Edges) -> jax.Array:
+    """Whether parts are at the end of a step so near edges that they may have met them, [B]."""
+    along = edges.end - edges.start
+    upright = tangent(along) * (-1.0 / jnp.sqrt(dot(along, along)))
+    heights = [dot(upright, end.put(corner) - edges.start) for corner in CORNERS]
+    above = jnp.minimum(jnp.minimum(heights[0], heights[1]), jnp.minimum(heights[2], heights[3]))
+    start, stop = end.took(edges.start), end.took(edges.end)
+    beside = jnp.full_like(above, -jnp.inf)
+    for corner, outward in zip(CORNERS, NORMALS, strict=True):
+        off = jnp.minimum(dot(start - corner, outward), dot(stop - corner, outward))
+        beside = jnp.maximum(beside, off)
+    apart = jnp.maximum(above, beside)
+    return ((apart < _TARGET + _TOLERANCE) & edges.exist).any((0, 1))
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Moved:
+    """The legs' parts within a step.
+
+    Attributes:
+        sweep: from where they are at a time of the step to where they end.
+        done: that time, a share of the step.
+        speeds: their velocities.
+        contacts: with the ground.
+        feet: whether the parts stand, bool [parts, B].
+    """
+
+    sweep: Sweep
+    done: jax.Array
+    speeds: grips.Speeds
+    contacts: Contacts
+    feet: jax.Array
+
+
+def land(moved: Moved, edges: Edges) -> Moved:
+    """Has parts meet the ground, one impact after the other.
+
+    Args:
+        moved: parts at the beginning of a step, as they would end without the ground.
+        edges: near where they would end.
+
+    Returns:
+        The parts at its end.
+    """
+    count = jnp.zeros_like(edges.index)
+    off = jnp.zeros_like(edges.index, bool)
+    carry = moved, count, off, _next(moved, edges, count, off)
+
+    def goes(carry: tuple) -> jax.Array:
+        moment: jax.Array = carry[3].min(0)
+        return (moment < _ALL).any()
+
+    def one(carry: tuple) -> tuple:
+        moved, count, off, moments = carry
+        moment = moments.min(0)
+        meets = moment < _ALL
+        first = meets & (moments == moment) & (count <= _MOST_IMPACTS)
+        after, touched = _impact(moved, edges, moment, first)
+        lands = meets & touched
+        chosen = jax.tree.map(lambda new, old: jnp.where(lands, new, old), after, moved)
+        count = count + first
+        off = off | (first & ~touched)
+        return chosen, count, off, _next(chosen, edges, count, off)
+
+    moved, *_ = jax.lax.while_loop(goes, one, carry)
+    return moved
+
+
+def _next(moved: Moved, edges: Edges, count: jax.Array, off: jax.Array) -> jax.Array:
+    """When each contact's next impact is, as shares of the whole step."""
+    beta = time_of_impact(moved.sweep, edges)
+    time = jnp.minimum(moved.done + (1.0 - moved.done) * beta, 1.0)
+    counts = (beta < 1.0) & ~off & (count <= _MOST_IMPACTS)
+    return jnp.where(counts, time, 1.0)
+
+
+def _impact(
+    moved: Moved, edges: Edges, moment: jax.Array, first: jax.Array
+) -> tuple[Moved, jax.Array]:
+    """One impact of each part, and the rest of its step; and whether it touched the ground then."""
+    share = (moment - moved.done) / (1.0 - moved.done)
+    place, turn = moved.sweep.part_way(share)
+    manifold = touch.touch(pose(place, turn), edges)
+    touched = (manifold.touching & first).any(0)
+    # Box2D solves the contact that it found first before the part's others.
+    manifold = touch.forward(manifold, first)
+    contacts = touch.remember(moved.contacts, manifold)
+    feet = touch.feet_after(moved.feet, moved.contacts, contacts)
+
+    def lift(carry: tuple) -> tuple:
+        count, place, turn, active = carry
+        new_place, new_turn, least = grips.position_round(place, turn, manifold, _FIRMNESS)
+        place, turn = where(active, new_place, place), jnp.where(active, new_turn, turn)
+        return count + 1, place, turn, active & (least < _GOOD_ENOUGH)
+
+    def sinks(carry: tuple) -> jax.Array:
+        return carry[3].any() & (carry[0] < _POSITION_ROUNDS)
+
+    _, place, turn, _ = jax.lax.while_loop(sinks, lift, (0, place, turn, touched))
+    grip = grips.prepare(manifold, pose(place, turn))
+    zero = jnp.zeros_like(contacts.normal[0])
+
+    def round_(carry: tuple) -> tuple:
+        count, old, normal, along, active = carry
+        new, *impulses = grips.velocity_round(old, grip, normal, along)
+        new, normal, along = jax.tree.map(
+            lambda after, before: jnp.where(active, after, before),
+            (new, *impulses),
+            (old, normal, along),
+        )
+        gaps = jax.tree.map(lambda after, before: jnp.abs(after - before), new, old)
+        changed = jnp.stack(jax.tree.leaves(gaps)).max(0) > _STILL
+        return count + 1, new, normal, along, active & changed
+
+    def changes(carry: tuple) -> jax.Array:
+        return (carry[0] < parts.VELOCITY_ROUNDS) & carry[-1].any()
+
+    start = 0, moved.speeds, (zero, zero), (zero, zero), touched
+    _, speeds, *_ = jax.lax.while_loop(changes, round_, start)
+    rest = (1.0 - moment) * parts.SECONDS
+    speeds, end_place, end_turn = glide(speeds, place, turn, rest)
+    sweep = Sweep(place, turn, end_place, end_turn)
+    return Moved(sweep, moment, speeds, contacts, feet), touched
+
+
+def glide(
+    speeds: grips.Speeds, place: Vec, turn: jax.Array, seconds: jax.Array | float
+) -> tuple[grips.Speeds, Vec, jax.Array]:
+    """Moves bodies on, no faster than Box2D lets them.
+
+    Args:
+        speeds: velocities.
+        place: where the bodies are [m].
+        turn: their angles [rad].
+        seconds: how long [s].
+
+    Returns:
+        Velocities, places and angles after it.
+    """
+    way = speeds.velocity * seconds
+    squared = dot(way, way)
+    far = squared > parts.MAX_TRANSLATION**2
+    slower = parts.MAX_TRANSLATION / jnp.sqrt(jnp.where(far, squared, 1.0))
+    velocity = speeds.velocity * jnp.where(far, slower, 1.0)
+    turned = jnp.abs(speeds.spin * seconds)
+    fast = turned > parts.MAX_ROTATION
+    spin = speeds.spin * jnp.where(fast, parts.MAX_ROTATION / jnp.where(fast, turned, 1.0), 1.0)
+    return grips.Speeds(velocity, spin), place + velocity * seconds, turn + spin * seconds

@@ -1,0 +1,95 @@
+"""Vectors and turns of the plane; components are arrays of any one shape."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Vec:
+    """A vector [m, or m/s]; `x` and `y` have one shape."""
+
+    x: jax.Array
+    y: jax.Array
+
+    def __add__(self, other: "Vec") -> "Vec":
+        """The sum."""
+        return Vec(self.x + other.x, self.y + other.y)
+
+    def __sub__(self, other: "Vec") -> "Vec":
+        """The difference."""
+        return Vec(self.x - other.x, self.y - other.y)
+
+    def __neg__(self) -> "Vec":
+        """The opposite."""
+        return Vec(-self.x, -self.y)
+
+    def __mul__(self, factor: jax.Array | float) -> "Vec":
+        """The vector, longer."""
+        return Vec(self.x * factor, self.y * factor)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Pose:
+    """Where a body is: its centre of mass, and cosine and sine of its angle."""
+
+    place: Vec
+    cos: jax.Array
+    sin: jax.Array
+
+    def turned(self, local: Vec) -> Vec:
+        """A direction of the body, in the world."""
+        return Vec(self.cos * local.x - self.sin * local.y, self.sin * local.x + self.cos * local.y)
+
+    def put(self, local: Vec) -> Vec:
+        """A point of the body, in the world."""
+        return self.turned(local) + self.place
+
+    def took(self, point: Vec) -> Vec:
+        """A point of the world, in the body."""
+        away = point - self.place
+        return Vec(self.cos * away.x + self.sin * away.y, self.cos * away.y - self.sin * away.x)
+
+
+def pose(place: Vec, angle: jax.Array) -> Pose:
+    """The pose of a body from its centre of mass and its angle [rad]."""
+    return Pose(place, jnp.cos(angle), jnp.sin(angle))
+
+
+def vec(values: np.ndarray, trailing: int = 0) -> Vec:
+    """A constant vector, or several.
+
+    Args:
+        values: components on the last axis.
+        trailing: axes of length 1 that the components get at their end.
+
+    Returns:
+        The vector, float32.
+    """
+    shape = (*values.shape[:-1], *[1] * trailing)
+    x, y = (jnp.asarray(values[..., axis], jnp.float32).reshape(shape) for axis in range(2))
+    return Vec(x, y)
+
+
+def dot(a: Vec, b: Vec) -> jax.Array:
+    """The scalar product."""
+    return a.x * b.x + a.y * b.y
+
+
+def cross(a: Vec, b: Vec) -> jax.Array:
+    """The third component of the vector product."""
+    return a.x * b.y - a.y * b.x
+
+
+def tangent(normal: Vec) -> Vec:
+    """A normal turned by a quarter, clockwise."""
+    return Vec(normal.y, -normal.x)
+
+
+def where(condition: jax.Array, a: Vec, b: Vec) -> Vec:
+    """A choice, component by component."""
+    return Vec(jnp.where(condition, a.x, b.x), jnp.where(condition, a.y, b.y))

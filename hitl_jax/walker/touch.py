@@ -1,0 +1,352 @@
+"""Where the parts of the legs touch the ground: Box2D's manifolds of an edge and a polygon.
+
+A part meets at most four edges of the ground at once; they stand in four slots. Arrays are [slots,
+parts, B] where not said otherwise, those of a part alone [parts, B]: the batch is the last axis.
+
+Source: E. Catto, "Contact Manifolds", GDC 2007, and the behaviour of Box2D 2.3's `b2EPCollider` for
+an edge with no neighbours.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hitl_jax.walker import parts
+from hitl_jax.walker.once import once
+from hitl_jax.walker.plane import Pose, Vec, dot, tangent, vec, where
+
+_SKINS = 2 * parts.SKIN
+_SLOTS = 4
+_AS_GOOD = 0.98
+_BETTER_BY = 0.001
+"""A side of the part is taken for reference rather than the edge where it is better by so much."""
+
+_FACE = 64
+
+
+def _sides() -> list[tuple[Vec, Vec]]:
+    """Corner i and the outward normal of the side from it to the next, each [parts, 1]."""
+    along = np.roll(parts.LEG_CORNERS, -1, axis=1) - parts.LEG_CORNERS
+    normals = np.stack([along[..., 1], -along[..., 0]], -1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    return [(vec(parts.LEG_CORNERS[:, i], 1), vec(normals[:, i], 1)) for i in range(4)]
+
+
+_SIDES = _sides()
+CORNERS = [corner for corner, _ in _SIDES]
+NORMALS = [normal for _, normal in _SIDES]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Edges:
+    """Edges of the ground near each part, from left to right.
+
+    Attributes:
+        index: which of the terrain's, int32; below 0 or beyond the last there is none.
+        start: left corners [m].
+        end: right corners [m].
+    """
+
+    index: jax.Array
+    start: Vec
+    end: Vec
+
+    @property
+    def exist(self) -> jax.Array:
+        """Which of them are of the terrain."""
+        return (self.index >= 0) & (self.index < parts.NUM_EDGES)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Manifold:
+    """How a part touches an edge, in at most two points.
+
+    Attributes:
+        edge: which of the terrain's, int32.
+        on_edge: whether the edge is the reference, and the points are of the part; else a side of
+            the part is, and the points are of the edge.
+        normal: of the reference; in the world where `on_edge`, else in the part.
+        plane: a point of the reference; likewise.
+        points: two; in the part where `on_edge`, else in the world.
+        keys: of the two points, which tell whether a point is that of the step before, int32.
+        valid: which of them there are, bool.
+    """
+
+    edge: jax.Array
+    on_edge: jax.Array
+    normal: Vec
+    plane: Vec
+    points: tuple[Vec, Vec]
+    keys: tuple[jax.Array, jax.Array]
+    valid: tuple[jax.Array, jax.Array]
+
+    @property
+    def touching(self) -> jax.Array:
+        """Whether there is a point."""
+        return self.valid[0] | self.valid[1]
+
+    def look(self, part: Pose) -> list[tuple[Vec, Vec, jax.Array]]:
+        """The contact with the part at a pose.
+
+        Args:
+            part: [parts, B].
+
+        Returns:
+            For each of the two points: the normal from the ground to the part, the point in the
+            world [m], and how far the two are apart there [m].
+        """
+        normal = where(self.on_edge, self.normal, part.turned(self.normal))
+        plane = where(self.on_edge, self.plane, part.put(self.plane))
+        points = [where(self.on_edge, part.put(point), point) for point in self.points]
+        outward = where(self.on_edge, normal, -normal)
+        return [(outward, point, dot(point - plane, normal) - _SKINS) for point in points]
+
+
+def _pick(flags: list[jax.Array], values: list[jax.Array | float]) -> jax.Array:
+    """The value of the first flag that is set, else the last value."""
+    result = jnp.asarray(values[-1])
+    for flag, value in zip(flags[-2::-1], values[-2::-1], strict=True):
+        result = jnp.where(flag, value, result)
+    return result
+
+
+def _pick_vec(flags: list[jax.Array], values: list[Vec]) -> Vec:
+    return Vec(_pick(flags, [v.x for v in values]), _pick(flags, [v.y for v in values]))
+
+
+def touch(part: Pose, edges: Edges) -> Manifold:
+    """The manifolds of parts and edges.
+
+    Args:
+        part: [parts, B].
+        edges: [slots, parts, B].
+
+    Returns:
+        Manifolds, [slots, parts, B].
+    """
+    along = edges.end - edges.start
+    below = tangent(along * (1.0 / jnp.sqrt(dot(along, along))))
+    front = dot(below, part.place - edges.start) >= 0
+    up = where(front, below, -below)
+    corners = [part.put(corner) for corner in CORNERS]
+    normals = [part.turned(normal) for normal in NORMALS]
+
+    of_edge = _least([dot(up, corner - edges.start) for corner in corners])
+    of_sides = [
+        -jnp.maximum(dot(n, c - edges.start), dot(n, c - edges.end))
+        for n, c in zip(normals, corners, strict=True)
+    ]
+    of_side = -_least([-s for s in of_sides])
+    near = (of_edge <= _SKINS) & (of_side <= _SKINS) & edges.exist
+    on_edge = of_side <= _AS_GOOD * of_edge + _BETTER_BY
+
+    facing = [dot(up, normal) for normal in normals]
+    side = jnp.where(
+        on_edge,
+        _first(facing, _least(facing)),
+        _first([-s for s in of_sides], -of_side),
+    )
+    chosen = [side == i for i in range(4)]
+    corner, following = _pick_vec(chosen, corners), _pick_vec(chosen, corners[1:] + corners[:1])
+    outward = _pick_vec(chosen, normals)
+
+    # The segment that is clipped, and the reference that it is clipped to.
+    first, second = where(on_edge, corner, edges.start), where(on_edge, following, edges.end)
+    left = where(on_edge, where(front, edges.start, edges.end), corner)
+    right = where(on_edge, where(front, edges.end, edges.start), following)
+    normal = where(on_edge, up, outward)
+    next_side = (side + 1) % 4
+    zero = jnp.zeros_like(side)
+    # A key is made of a feature of the edge, one of the part, and which of the two is a side.
+    keys = [
+        jnp.where(on_edge, 8 * side + _FACE, side + _FACE),
+        jnp.where(on_edge, 8 * next_side + _FACE, side + _FACE),
+    ]
+    incident = jnp.where(on_edge, side, zero)
+    points = [first, second]
+    met = near
+    for border, outside, feature in (
+        (left, tangent(normal), jnp.where(on_edge, jnp.where(front, 0, 1), side)),
+        (right, -tangent(normal), jnp.where(on_edge, jnp.where(front, 1, 0), next_side)),
+    ):
+        cut = jnp.where(on_edge, feature + 8 * incident, side + 8 * feature)
+        points, keys, cuts, incident = _clip(points, keys, incident, border, outside, cut)
+        met = met & cuts
+
+    valid = [met & (dot(normal, point - left) <= _SKINS) for point in points]
+    return Manifold(
+        edge=edges.index,
+        on_edge=on_edge,
+        normal=where(on_edge, normal, _pick_vec(chosen, NORMALS)),
+        plane=where(on_edge, left, _pick_vec(chosen, CORNERS)),
+        points=(
+            where(on_edge, part.took(points[0]), points[0]),
+            where(on_edge, part.took(points[1]), points[1]),
+        ),
+        keys=(keys[0], keys[1]),
+        valid=(valid[0], valid[1]),
+    )
+
+
+def _least(values: list[jax.Array]) -> jax.Array:
+    result = values[0]
+    for value in values[1:]:
+        result = jnp.minimum(result, value)
+    return result
+
+
+def _first(values: list[jax.Array], wanted: jax.Array) -> jax.Array:
+    """The first index whose value is the wanted one, int32."""
+    return _pick([value <= wanted for value in values], [jnp.int32(i) for i in range(len(values))])
+
+
+def _clip(
+    points: list[Vec],
+    keys: list[jax.Array],
+    incident: jax.Array,
+    border: Vec,
+    outside: Vec,
+    cut: jax.Array,
+) -> tuple[list[Vec], list[jax.Array], jax.Array, jax.Array]:
+    """Cuts a segment off at a border (Sutherland and Hodgman).
+
+    Returns:
+        The points, their keys, whether two are left, and the part's feature of the first of them.
+    """
+    first, second = (dot(outside, point - border) for point in points)
+    share = first / jnp.where(first == second, 1.0, first - second)
+    crossing = points[0] + (points[1] - points[0]) * share
+    both = (first <= 0) & (second <= 0)
+    keeps_first = first <= 0
+    left = [where(keeps_first, points[0], points[1]), where(both, points[1], crossing)]
+    names = [jnp.where(keeps_first, keys[0], keys[1]), jnp.where(both, keys[1], cut)]
+    second_feature = (keys[1] // 8) % 8
+    feature = jnp.where(keeps_first, incident, second_feature)
+    return left, names, both | (first * second < 0), feature
+
+
+def forward(manifold: Manifold, leading: jax.Array | bool = False) -> Manifold:
+    """Moves those that touch to the first slots, in the order in which they stand.
+
+    Args:
+        manifold: of the slots.
+        leading: which of them go before the others, if they touch.
+
+    Returns:
+        The same, in other slots.
+    """
+    manifold = once(manifold)
+    touching = manifold.touching
+    groups = (touching & leading, touching & ~jnp.asarray(leading), ~touching)
+    slot = jnp.zeros_like(manifold.edge)
+    taken = jnp.zeros_like(slot[0])
+    for group in groups:
+        members = group.astype(jnp.int32)
+        slot = jnp.where(group, taken + jnp.cumsum(members, axis=0) - members, slot)
+        taken = taken + members.sum(0)
+    slot = once(slot)
+    result: Manifold = jax.tree.map(
+        lambda leaf: jnp.stack([_pick(list(slot == to), list(leaf)) for to in range(_SLOTS)]),
+        manifold,
+    )
+    return once(result)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Contacts:
+    """What is remembered of contacts from step to step.
+
+    Attributes:
+        edge: the edge in each slot, int32.
+        keys: of the two points.
+        valid: which of them there are.
+        normal: impulses along the normal [N s], of the two points.
+        along: impulses of friction [N s], of the two points.
+    """
+
+    edge: jax.Array
+    keys: tuple[jax.Array, jax.Array]
+    valid: tuple[jax.Array, jax.Array]
+    normal: tuple[jax.Array, jax.Array]
+    along: tuple[jax.Array, jax.Array]
+
+    @property
+    def touching(self) -> jax.Array:
+        """Whether there is a point."""
+        return self.valid[0] | self.valid[1]
+
+
+def no_contacts(batch: int) -> Contacts:
+    """Those of a walker in the air; [4, 4, B]."""
+    none = jnp.zeros((4, 4, batch), jnp.int32)
+    no = jnp.zeros((4, 4, batch), bool)
+    zero = jnp.zeros((4, 4, batch), jnp.float32)
+    return Contacts(none - 1, (none, none), (no, no), (zero, zero), (zero, zero))
+
+
+def remember(old: Contacts, manifold: Manifold) -> Contacts:
+    """New contacts with the impulses of those points that were there before.
+
+    Args:
+        old: contacts before.
+        manifold: of the slots now.
+
+    Returns:
+        The contacts now.
+    """
+    before = _found(old, manifold.edge)
+
+    def matched(key: jax.Array, values: tuple[jax.Array, jax.Array]) -> jax.Array:
+        is_first, is_second = (
+            valid & (old_key == key)
+            for valid, old_key in zip(before.valid, before.keys, strict=True)
+        )
+        return jnp.where(is_first, values[0], jnp.where(is_second, values[1], 0.0))
+
+    one, two = manifold.keys
+    return Contacts(
+        manifold.edge,
+        manifold.keys,
+        manifold.valid,
+        (matched(one, before.normal), matched(two, before.normal)),
+        (matched(one, before.along), matched(two, before.along)),
+    )
+
+
+def _found(contacts: Contacts, index: jax.Array) -> Contacts:
+    """Contacts in the slots of given edges; those of other edges are without a point."""
+    nothing = jax.tree.map(jnp.zeros_like, contacts)
+    found = dataclasses.replace(nothing, edge=index)
+    for shift in range(index.shape[0]):
+        rolled: Contacts = jax.tree.map(lambda leaf, by=shift: jnp.roll(leaf, by, 0), contacts)
+        same = rolled.edge == index
+        found = jax.tree.map(lambda new, old, at=same: jnp.where(at, new, old), rolled, found)
+    return found
+
+
+def feet_after(feet: jax.Array, old: Contacts, new: Contacts) -> jax.Array:
+    """Whether each part stands, as gymnasium hears of it from Box2D.
+
+    Each contact that begins says yes, each that ends says no, also where another goes on; the last
+    word counts, which is that of the contact most to the left.
+
+    Args:
+        feet: before, bool [parts, B].
+        old: contacts before.
+        new: contacts now.
+
+    Returns:
+        Feet now, bool [parts, B].
+    """
+    begins = new.touching & ~_found(old, new.edge).touching
+    ends = old.touching & ~_found(new, old.edge).touching
+    far = jnp.int32(parts.TERRAIN_LENGTH + 1)
+    begun = jnp.where(begins, new.edge, far).min(0)
+    ended = jnp.where(ends, old.edge, far).min(0)
+    last = jnp.minimum(begun, ended)
+    return jnp.where(last == far, feet, begun <= ended)

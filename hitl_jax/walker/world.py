@@ -1,0 +1,274 @@
+"""One step of the world, as Box2D 2.3 makes it: `b2World::Step`.
+
+What the ground does to the hull is not solved: the touch ends the episode. Everything else that the
+walker meets is. Arrays have the batch as their last axis, [5, B] for bodies and so on, so that each
+operation runs along it.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hitl_jax.walker import grips, ground, hinges, impact, parts, touch
+from hitl_jax.walker.grips import Speeds
+from hitl_jax.walker.hinges import Impulses, Row
+from hitl_jax.walker.plane import Pose, Vec, dot, pose, tangent, vec, where
+from hitl_jax.walker.rarely import rarely
+from hitl_jax.walker.touch import Contacts, Edges
+
+_ROUNDS_FOR_ALL = 2
+"""Position rounds that all walkers make together; most need no more."""
+_FEW = 2
+"""Edges on which most shins stand at once, at most."""
+_SHINS, _LEGS = (2, 4), (1, 2, 3, 4)
+_SOUND = -3 * parts.LINEAR_SLOP
+_FIRMNESS = 0.2
+
+
+def _hull_sides() -> list[tuple[Vec, Vec]]:
+    corners = parts.HULL_CORNERS - parts.HULL_CENTRE
+    along = np.roll(corners, -1, axis=0) - corners
+    normals = np.stack([along[:, 1], -along[:, 0]], -1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    return [(vec(corner), vec(normal)) for corner, normal in zip(corners, normals, strict=True)]
+
+
+_HULL_SIDES = _hull_sides()
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class World:
+    """Everything that a step begins with.
+
+    Attributes:
+        place: centres of mass of hull, thigh, shin, thigh, shin [5, B] [m].
+        angle: of these [5, B] [rad].
+        velocity: of the centres of mass [5, B] [m/s].
+        spin: [5, B] [rad/s].
+        impulses: of the hinges in the last step [4, B].
+        contacts: of thigh, shin, thigh, shin with the ground [4, 4, B].
+        feet: whether each of these four stands, as gymnasium hears of it, bool [4, B].
+        fallen: whether the hull has touched the ground, bool [B].
+    """
+
+    place: Vec
+    angle: jax.Array
+    velocity: Vec
+    spin: jax.Array
+    impulses: Impulses
+    contacts: Contacts
+    feet: jax.Array
+    fallen: jax.Array
+
+
+def step(world: World, speed: jax.Array, torque: jax.Array, heights: jax.Array) -> World:
+    """One step of `parts.SECONDS`.
+
+    Args:
+        world: before it.
+        speed: that each motor is to reach [4, B] [rad/s].
+        torque: the most it may give [4, B] [N m].
+        heights: of the ground [TERRAIN_LENGTH, B] [m].
+
+    Returns:
+        The world after it.
+    """
+    bodies = pose(world.place, world.angle)
+    legs = legs_of(bodies)
+    edges = ground.edges_of_parts(heights, legs_left(legs))
+    manifold = touch.forward(touch.touch(legs, edges))
+    contacts = touch.remember(world.contacts, manifold)
+    feet = touch.feet_after(world.feet, world.contacts, contacts)
+    fallen = world.fallen | _hull_meets(bodies, heights, 2 * parts.SKIN)
+
+    hinge = hinges.prepare(bodies, world.angle, speed, torque)
+    grip = grips.prepare(manifold, legs)
+    velocity, spin, impulses, pressed = _velocities(world, hinge, grip, contacts)
+    contacts = dataclasses.replace(contacts, normal=pressed[0], along=pressed[1])
+    speeds, place, angle = impact.glide(
+        Speeds(velocity, spin), world.place, world.angle, parts.SECONDS
+    )
+    place, angle = _settle(place, angle, hinge.side, manifold)
+
+    moved = impact.Moved(
+        sweep=impact.Sweep(_tail(world.place), world.angle[1:], _tail(place), angle[1:]),
+        done=jnp.zeros_like(angle[1:]),
+        speeds=Speeds(_tail(speeds.velocity), speeds.spin[1:]),
+        contacts=contacts,
+        feet=feet,
+    )
+    ended = pose(place, angle)
+    edges = ground.edges_of_parts(heights, legs_left(legs_of(ended)))
+    moved = rarely(impact.may_meet(legs_of(ended), edges), impact.land, moved, edges)
+    fallen |= _hull_meets(ended, heights, impact.NEAR)
+    return World(
+        place=_after_head(place, moved.sweep.end_place),
+        angle=jnp.concatenate([angle[:1], moved.sweep.end_turn]),
+        velocity=_after_head(speeds.velocity, moved.speeds.velocity),
+        spin=jnp.concatenate([speeds.spin[:1], moved.speeds.spin]),
+        impulses=impulses,
+        contacts=moved.contacts,
+        feet=moved.feet,
+        fallen=fallen,
+    )
+
+
+def _tail(vectors: Vec) -> Vec:
+    return Vec(vectors.x[1:], vectors.y[1:])
+
+
+def _after_head(bodies: Vec, legs: Vec) -> Vec:
+    return Vec(jnp.concatenate([bodies.x[:1], legs.x]), jnp.concatenate([bodies.y[:1], legs.y]))
+
+
+def legs_of(bodies: Pose) -> Pose:
+    """The poses of the legs' parts [4, B] of those of all bodies [5, B]."""
+    return Pose(_tail(bodies.place), bodies.cos[1:], bodies.sin[1:])
+
+
+def legs_left(legs: Pose) -> jax.Array:
+    """Where the parts of the legs begin, skin included [4, B] [m]."""
+    corners = [legs.put(corner).x for corner in touch.CORNERS]
+    least = jnp.minimum(jnp.minimum(corners[0], corners[1]), jnp.minimum(corners[2], corners[3]))
+    return least - 2 * parts.SKIN
+
+
+def _hull_meets(bodies: Pose, heights: jax.Array, near: float) -> jax.Array:
+    """Whether the core of the hull is so near the ground [m], bool [B]."""
+    hull = Pose(Vec(bodies.place.x[0], bodies.place.y[0]), bodies.cos[0], bodies.sin[0])
+    corners = [hull.put(corner) for corner, _ in _HULL_SIDES]
+    left = corners[0].x
+    for corner in corners[1:]:
+        left = jnp.minimum(left, corner.x)
+    edges: Edges = ground.edges_of_hull(heights, left - 2 * parts.SKIN)
+    along = edges.end - edges.start
+    up = tangent(along) * (-1.0 / jnp.sqrt(dot(along, along)))
+    apart = dot(up, corners[0] - edges.start)
+    for corner in corners[1:]:
+        apart = jnp.minimum(apart, dot(up, corner - edges.start))
+    for corner, (_, normal) in zip(corners, _HULL_SIDES, strict=True):
+        outward = hull.turned(normal)
+        off = jnp.minimum(dot(outward, edges.start - corner), dot(outward, edges.end - corner))
+        apart = jnp.maximum(apart, off)
+    return ((apart <= near) & edges.exist).any(0)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class _Motion:
+    """Velocities and impulses within a step.
+
+    Attributes:
+        rows: velocities of the five bodies.
+        hinge: impulses of the four hinges.
+        normal: of the contacts, of their two points [slots, parts, B].
+        along: likewise, of friction.
+    """
+
+    rows: list[Row]
+    hinge: list[Impulses]
+    normal: grips.Pair
+    along: grips.Pair
+
+
+def _velocities(
+    world: World, hinge: hinges.Hinges, grip: grips.Grips, contacts: Contacts
+) -> tuple[Vec, jax.Array, Impulses, tuple[grips.Pair, grips.Pair]]:
+    """Velocities after gravity and all rounds, and the impulses of hinges and contacts.
+
+    Most walkers touch the ground with their shins alone, each on two edges at most: for the
+    others the rounds are made again, with all contacts.
+    """
+    gravity = parts.SECONDS * parts.GRAVITY
+    velocity = Vec(world.velocity.x, world.velocity.y + gravity)
+    normal, along = grips.begin(grip, contacts)
+    legs = grips.warm(Speeds(_tail(velocity), world.spin[1:]), grip, normal, along)
+    rows = _rows(_after_head(velocity, legs.velocity), jnp.concatenate([world.spin[:1], legs.spin]))
+    begun = hinges.begin(hinge, world.impulses)
+    rows = hinges.warm(rows, hinge, begun)
+    impulses = [jax.tree.map(lambda leaf, i=i: leaf[i], begun) for i in range(len(parts.HINGES))]
+    start = _Motion(rows, impulses, normal, along)
+
+    few = grips.only_shins(grip, _FEW)
+    few_normal, few_along = grips.of_shins((normal, along), _FEW)
+    quick = _rounds(_Motion(rows, impulses, few_normal, few_along), hinge, few, _SHINS)
+
+    def placed(all_of: jax.Array, few_of: jax.Array) -> jax.Array:
+        return all_of.at[:_FEW, 1::2].set(few_of)
+
+    motion = _Motion(
+        quick.rows,
+        quick.hinge,
+        jax.tree.map(placed, normal, quick.normal),
+        jax.tree.map(placed, along, quick.along),
+    )
+    touching = contacts.touching
+    many = touching[_FEW:].any((0, 1)) | touching[:, ::2].any((0, 1))
+    motion, _ = rarely(
+        many,
+        lambda state, context: (_rounds(state[1], *context, _LEGS), state[1]),
+        (motion, start),
+        (hinge, grip),
+    )
+    row = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motion.rows)
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motion.hinge)
+    return row.velocity, row.spin, stacked, (motion.normal, motion.along)
+
+
+def _rounds(
+    start: _Motion, hinge: hinges.Hinges, grip: grips.Grips, bodies: tuple[int, ...]
+) -> _Motion:
+    """All velocity rounds; the contacts are those of some bodies."""
+
+    def round_(_: int, motion: _Motion) -> _Motion:
+        rows, impulses = hinges.velocity_round(motion.rows, hinge, motion.hinge)
+        legs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(rows[body] for body in bodies))
+        speeds, normal, along = grips.velocity_round(
+            Speeds(legs.velocity, legs.spin), grip, motion.normal, motion.along
+        )
+        for body, row in zip(bodies, _rows(speeds.velocity, speeds.spin), strict=True):
+            rows[body] = row
+        return _Motion(rows, impulses, normal, along)
+
+    return jax.lax.fori_loop(0, parts.VELOCITY_ROUNDS, round_, start)
+
+
+def _rows(velocity: Vec, spin: jax.Array) -> list[Row]:
+    return [Row(Vec(velocity.x[i], velocity.y[i]), spin[i]) for i in range(spin.shape[0])]
+
+
+def _settle(
+    place: Vec, angle: jax.Array, side: jax.Array, manifold: touch.Manifold
+) -> tuple[Vec, jax.Array]:
+    """Places and angles after the position rounds, of which most walkers need one or two."""
+
+    def round_(carry: tuple, side: jax.Array, manifold: touch.Manifold) -> tuple:
+        place, angle, active = carry
+        legs, turns, least = grips.position_round(_tail(place), angle[1:], manifold, _FIRMNESS)
+        places = [Vec(place.x[0], place.y[0])]
+        places += [Vec(legs.x[i], legs.y[i]) for i in range(4)]
+        places, all_turns, good = hinges.position_round(places, [angle[0], *turns], side)
+        new_place = jax.tree.map(lambda *leaves: jnp.stack(leaves), *places)
+        place = where(active, new_place, place)
+        angle = jnp.where(active, jnp.stack(all_turns), angle)
+        return place, angle, active & ~(good & (least >= _SOUND).all(0))
+
+    def rest(carry: tuple, context: tuple) -> tuple:
+        def goes(counted: tuple) -> jax.Array:
+            return counted[1][2].any() & (counted[0] < parts.POSITION_ROUNDS)
+
+        def one(counted: tuple) -> tuple:
+            return counted[0] + 1, round_(counted[1], *context)
+
+        result: tuple = jax.lax.while_loop(goes, one, (_ROUNDS_FOR_ALL, carry))[1]
+        return result
+
+    carry = place, angle, jnp.ones(angle.shape[1:], bool)
+    carry = jax.lax.fori_loop(
+        0, _ROUNDS_FOR_ALL, lambda _, carry: round_(carry, side, manifold), carry
+    )
+    place, angle, _ = rarely(carry[2], rest, carry, (side, manifold))
+    return place, angle
