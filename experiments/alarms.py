@@ -21,6 +21,7 @@ import tyro
 from experiments import alarm_figure
 from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
+from experiments.plays import playing_backend
 from experiments.trained import able_to_play, agent_of, load_trained
 from hitl_jax.agent import Agent
 from hitl_jax.alarms import AlarmCounts, count_alarms, total
@@ -71,7 +72,7 @@ def main(options: AlarmOptions) -> int:
             raise BadInput(f"{options.results}: no run has finished yet")
         keep_programs()
         rows: list[dict[str, Any]] = []
-        with contextlib.closing(make_pool("lean", options.episodes)) as pool:
+        with contextlib.closing(make_pool(playing_backend(folder), options.episodes)) as pool:
             evaluator = Evaluator(agent, pool)
             for number, key in enumerate(keys, start=1):
                 spec, end = load_trained(folder, key)

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
+from experiments.plays import playing_backend
 from experiments.trained import able_to_play, agent_of, load_trained
 from hitl_jax.agent import Agent
 from hitl_jax.config import Method, require
@@ -82,7 +83,7 @@ def main(options: MapOptions) -> int:
         keep_programs()
         steps = np.zeros((_ANGLES.size - 1, _VELOCITIES.size - 1))
         sums = np.zeros_like(steps)
-        with contextlib.closing(make_pool("lean", options.episodes)) as pool:
+        with contextlib.closing(make_pool(playing_backend(folder), options.episodes)) as pool:
             evaluator = Evaluator(agent, pool)
             for key in keys:
                 visited = _visits(agent, evaluator, folder, key)

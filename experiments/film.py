@@ -13,7 +13,9 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from hitl_jax.envs import WALKER
+from experiments.stage import Stage
+from hitl_jax.envs import WALKER, Command
+from hitl_jax.envs.jax_pool import JaxPool
 from hitl_jax.figure_parts import COLOURS, GREY
 from hitl_jax.files import write_bytes_atomic
 from hitl_jax.recording import Recording
@@ -45,17 +47,38 @@ class Caption(NamedTuple):
     span: float
 
 
-def play(seed: int, actions: np.ndarray, pictures: bool = True) -> Iterator[tuple[Any, Any, float]]:
-    """Plays an episode again on gymnasium's own walker.
+Steps = Iterator[tuple[Any, Any, float]]
+"""For each step s_t [O], a picture of it as RGB bytes [H, W, 3] or None, and r_t."""
+
+
+def play(backend: str, seed: int, actions: np.ndarray, pictures: bool = True) -> Steps:
+    """Plays an episode again.
 
     Args:
+        backend: `jax`, or else gymnasium's own walker.
         seed: reset seed.
         actions: executed actions, [T, A].
         pictures: whether to draw.
 
-    Yields:
-        For each step s_t [O], a picture of it as RGB bytes [H, W, 3] or None, and r_t.
+    Returns:
+        Its steps.
     """
+    return (_play_ours if backend == "jax" else _play_official)(seed, actions, pictures)
+
+
+def _play_ours(seed: int, actions: np.ndarray, pictures: bool) -> Steps:
+    with JaxPool(1, 1) as pool:
+        seeds = np.array([seed], np.uint32)
+        before = pool.step(np.array([Command.RESET]), np.zeros((1, 4)), seeds).observation[0]
+        stage = Stage(np.asarray(pool.walker(0).heights)) if pictures else None
+        for action in actions:
+            picture = stage.picture(pool.walker(0)) if stage else None
+            after = pool.step(np.array([Command.STEP]), action[None], seeds)
+            yield before, picture, float(after.reward[0])
+            before = after.observation[0]
+
+
+def _play_official(seed: int, actions: np.ndarray, pictures: bool) -> Steps:
     with warnings.catch_warnings():
         # What Box2D and pygame say at import; as errors, Box2D's end the process.
         warnings.simplefilter("ignore")

@@ -90,6 +90,12 @@ def play_tests(
     ]
 
 
+def playing_backend(folder: ResultsFolder) -> str:
+    """On which backend episodes of a folder are played again."""
+    backend = folder.load_config().get("backend")
+    return "jax" if backend == "jax" else "lean"  # Which equals gymnasium's, and is the quicker.
+
+
 def require_repeatable(folder: ResultsFolder) -> None:
     """Refuses results whose episodes cannot be had again.
 

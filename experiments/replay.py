@@ -9,7 +9,7 @@ import dataclasses
 import itertools
 import pathlib
 import sys
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -18,7 +18,7 @@ import tyro
 from experiments import film
 from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
-from experiments.plays import play_tests, require_repeatable, training_seed
+from experiments.plays import play_tests, playing_backend, require_repeatable, training_seed
 from experiments.trained import agent_of, require_same_human
 from hitl_jax.agent import Agent
 from hitl_jax.config import Method, require
@@ -91,7 +91,8 @@ def main(options: ReplayOptions) -> int:
         out = options.out or options.results / "replays" / f"{name}.gif"
         phase = "training" if options.phase == "training" else f"{options.phase} test"
         title = f"{key.method.upper()}, seed {key.seed}, {phase}, episode {episode.episode}"
-        again = _film(agent, seed, episode, out, title, options.width)
+        shown = _Shown(playing_backend(folder), seed, episode)
+        again = _film(agent, shown, out, title, options.width)
     except ResultsError as error:
         raise BadInput(str(error)) from error
     print(out)
@@ -143,24 +144,31 @@ def _find_test(
         raise BadInput(
             f"--episode {number}: {key} has {len(recorded)} episodes of the {options.phase} test"
         )
-    with contextlib.closing(make_pool("lean", len(recorded))) as pool:
+    with contextlib.closing(make_pool(playing_backend(folder), len(recorded))) as pool:
         tests = play_tests(agent, Evaluator(agent, pool), folder, key, options.phase)
     test = tests[number - 1]
     return test.seed, test.episode, float(recorded[number - 1])
 
 
-def _film(
-    agent: Agent, seed: int, episode: Recording, out: pathlib.Path, title: str, width: int
-) -> float:
+class _Shown(NamedTuple):
+    """What a film shows: an episode, played on a backend from a reset seed."""
+
+    backend: str
+    seed: int
+    episode: Recording
+
+
+def _film(agent: Agent, shown: _Shown, out: pathlib.Path, title: str, width: int) -> float:
     """Makes the film; the return of what it shows."""
-    steps = list(film.play(seed, episode.actions, pictures=False))
+    backend, seed, episode = shown
+    steps = list(film.play(backend, seed, episode.actions, pictures=False))
     observations = np.array([observation for observation, _, _ in steps])
     returns = list(itertools.accumulate(reward for _, _, reward in steps))
     indicators = np.asarray(jax.vmap(agent.indicator)(observations))
     name = agent.config.indicator.replace("_", " ")
     unit = "rad" if agent.config.indicator == "hull_angle" else ""
-    shown = film.play(seed, episode.actions)
-    pictures = ((picture, total) for (_, picture, _), total in zip(shown, returns, strict=True))
+    drawn = film.play(backend, seed, episode.actions)
+    pictures = ((picture, total) for (_, picture, _), total in zip(drawn, returns, strict=True))
     caption = film.Caption(title, name, unit, indicators, _SPAN)
     film.write(out, film.annotate(pictures, episode, caption), width)
     return returns[-1]

@@ -18,7 +18,13 @@ import tyro
 
 from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
-from experiments.plays import play_tests, require_repeatable, returns_of, training_seed
+from experiments.plays import (
+    play_tests,
+    playing_backend,
+    require_repeatable,
+    returns_of,
+    training_seed,
+)
 from experiments.trained import agent_of, require_same_human
 from hitl_jax.agent import Agent
 from hitl_jax.config import require
@@ -88,7 +94,7 @@ def _verify(agent: Agent, folder: ResultsFolder, key: RunKey) -> tuple[int, int]
     results = {"training": _replay(folder, run)}
     autonomous = select(run.tests, "mode", "autonomous")["return"]
     if len(autonomous) and not run.diverged:
-        with contextlib.closing(make_pool("lean", len(autonomous))) as pool:
+        with contextlib.closing(make_pool(playing_backend(folder), len(autonomous))) as pool:
             evaluator = Evaluator(agent, pool)
             for mode in get_args(Mode):
                 recorded = select(run.tests, "mode", mode)["return"]
@@ -113,7 +119,7 @@ def _replay(folder: ResultsFolder, run: Run) -> list[tuple[float, float]]:
     recordings = list(folder.load_recordings(run.key).values())
     if not recordings:
         return []
-    with contextlib.closing(make_pool("lean", len(recordings))) as pool:
+    with contextlib.closing(make_pool(playing_backend(folder), len(recordings))) as pool:
         seeds = [training_seed(run.key, recording.episode) for recording in recordings]
         actions = {place: recording.actions for place, recording in enumerate(recordings)}
         again = returns_of(pool, actions, np.array(seeds, np.uint32))

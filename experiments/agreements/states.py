@@ -8,7 +8,6 @@ import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
-from gymnasium.envs.box2d.bipedal_walker import BipedalWalkerHeuristics
 
 from experiments.benchmarks.timing import Row
 from hitl_jax.envs import WALKER
@@ -147,7 +146,7 @@ def _rollouts(rng: np.random.Generator, before: int) -> tuple[Walker, jax.Array,
 
 
 def _player(kind: str, rng: np.random.Generator) -> Any:
-    script = BipedalWalkerHeuristics()
+    script = parts.official.BipedalWalkerHeuristics()
 
     def act(observation: np.ndarray) -> np.ndarray:
         if kind == "random":

@@ -67,6 +67,12 @@ class JaxPool(CheckedPool):
             truncated & stepped,
         )
 
+    def walker(self, index: int) -> Walker:
+        """One of the walkers as it is, to be drawn; leaves without a batch axis."""
+        device, lane = divmod(index, self._lanes)
+        one: Walker = jax.tree.map(lambda leaf: leaf[lane], self._walkers[device])
+        return one
+
     def _shutdown(self) -> None:
         self._walkers, self._steps = [], []
 

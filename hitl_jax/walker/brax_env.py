@@ -1,0 +1,61 @@
+"""The walker as a Brax environment: any of Brax's agents can train on it."""
+
+import jax
+import jax.numpy as jnp
+from brax.envs.base import Env, State
+
+from hitl_jax.walker import env
+
+
+class BipedalWalker(Env):
+    """BipedalWalker-v3 for Brax's wrappers and agents.
+
+    `done` is a fall or the goal. The time limit is the wrappers' own: give them an `episode_length`
+    of `MOST_STEPS`. Brax's automatic reset begins each of a walker's episodes on its first terrain.
+    """
+
+    def reset(self, rng: jax.Array) -> State:
+        """Begins an episode on new terrain.
+
+        Args:
+            rng: a key, consumed.
+
+        Returns:
+            The first state; its observation is [24].
+        """
+        walker, observation = env.reset(rng)
+        zero = jnp.zeros((), jnp.float32)
+        return State(walker, observation, zero, zero)
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """One step of 0.02 s.
+
+        Args:
+            state: before it.
+            action: [4], clipped to [-1, 1].
+
+        Returns:
+            The state after it.
+        """
+        walker, step = env.step(state.pipeline_state, action)
+        return state.replace(  # type: ignore[attr-defined, no-any-return, unused-ignore]
+            pipeline_state=walker,
+            obs=step.observation,
+            reward=step.reward,
+            done=step.terminated.astype(jnp.float32),
+        )
+
+    @property
+    def observation_size(self) -> int:
+        """24."""
+        return env.OBSERVATION_SIZE
+
+    @property
+    def action_size(self) -> int:
+        """4."""
+        return env.ACTION_SIZE
+
+    @property
+    def backend(self) -> str:
+        """The physics: our own."""
+        return "hitl_jax"

@@ -1,0 +1,227 @@
+"""The walker in JAX against gymnasium's, and its pool. All share one compiled program."""
+
+import dataclasses
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from gymnasium.utils import seeding
+
+from experiments.agreements.returns import distance
+from experiments.agreements.states import copied
+from hitl_jax import walker
+from hitl_jax.devices import walker_devices
+from hitl_jax.envs import WALKER, Command, jax_pool, lean, make_pool
+from hitl_jax.keys import make_key
+from hitl_jax.walker import ground, parts
+from hitl_jax.walker.flat import of_one
+from hitl_jax.walker.rarely import rarely
+
+LANES = 16
+"""Of the one program: the least number of walkers of a device."""
+
+
+@pytest.fixture(scope="module")
+def official():
+    return gymnasium.make(WALKER, disable_env_checker=True).unwrapped
+
+
+def step(walkers, actions, command=Command.STEP):
+    """One tick of 16 walkers, on the device of a small pool."""
+    rows = np.full(LANES, command, np.uint8), np.float32(actions), np.zeros(LANES, np.uint32)
+    return jax_pool._tick(*jax.device_put((walkers, *rows), walker_devices(1)[0]))
+
+
+def stacked(walkers):
+    """Sixteen walkers; the last ones again where there are fewer."""
+    walkers = (walkers + [walkers[-1]] * LANES)[:LANES]
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *walkers)
+
+
+def played(env, seed, steps, noise=0.0):
+    """(walker before it, action, observation, terminated) of each step of a scripted episode."""
+    observation, _ = env.reset(seed=seed)
+    gait, rng = parts.official.BipedalWalkerHeuristics(), np.random.default_rng(seed)
+    rows = []
+    for _ in range(steps):
+        before = copied(env)
+        action = np.float32(gait.step_heuristic(observation) + rng.normal(0, noise, 4))
+        observation, _, terminated, _, _ = env.step(action)
+        rows.append((before, action, observation, terminated))
+        if terminated:
+            break
+    return rows
+
+
+def test_bodies_are_gymnasiums(official):
+    official.reset(seed=0)
+    bodies = [official.hull, *official.legs]
+    centres = np.array([tuple(body.localCenter) for body in bodies])
+    masses = np.array([body.mass for body in bodies])
+    inertias = np.array([body.inertia for body in bodies]) - masses * (centres**2).sum(1)
+    np.testing.assert_allclose(1 / parts.INVERSE_MASS, masses, rtol=1e-6)
+    np.testing.assert_allclose(1 / parts.INVERSE_INERTIA, inertias, rtol=1e-6)
+    np.testing.assert_allclose(parts.HULL_CENTRE, centres[0], atol=1e-7)
+    np.testing.assert_array_equal(centres[1:], 0)
+    ground_friction = official.fd_edge.friction
+    for leg in official.legs:
+        assert np.sqrt(leg.fixtures[0].friction * ground_friction) == pytest.approx(parts.FRICTION)
+
+
+def test_hinges_are_gymnasiums(official):
+    official.reset(seed=0)
+    bodies = [official.hull, *official.legs]
+    for index, joint in enumerate(official.joints):
+        first, second = parts.HINGES[index]
+        assert (joint.bodyA, joint.bodyB) == (bodies[first], bodies[second])
+        assert joint.lowerLimit == pytest.approx(parts.LOWER[index])
+        assert joint.upperLimit == pytest.approx(parts.UPPER[index])
+        bend = joint.bodyB.angle - joint.bodyA.angle - parts.REFERENCE[index]
+        assert joint.angle == pytest.approx(bend, abs=1e-6)
+        anchors = ((joint.bodyA, joint.anchorA), (joint.bodyB, joint.anchorB))
+        for (body, anchor), local in zip(anchors, parts.ANCHORS[index], strict=True):
+            point = body.GetWorldPoint(body.localCenter + local.tolist())
+            np.testing.assert_allclose(point, anchor, 1e-6)
+
+
+def test_a_step_from_a_copied_state_is_box2ds(official):
+    rows = [row for seed in range(4) for row in played(official, seed, 200, 0.3)[5::7]]
+    errors = []
+    for begin in range(0, len(rows), LANES):
+        some = rows[begin : begin + LANES]
+        walkers, actions = stacked([row[0] for row in some]), [row[1] for row in some]
+        actions = (actions + [actions[-1]] * LANES)[:LANES]
+        _, after = step(walkers, actions)
+        expected = np.array([row[2] for row in some])
+        errors.append(np.abs(np.asarray(after.observation)[: len(some)] - expected))
+    error = np.concatenate(errors)
+    assert len(error) > 80
+    assert np.median(error) <= 1e-6
+    assert np.quantile(error, 0.95) <= 1e-4
+    # A foot's flag, or an impact, may differ now and then.
+    assert (error.max(1) > 1e-2).mean() <= 0.05
+
+
+def test_equal_actions_keep_it_beside_box2d(official):
+    episodes = [played(official, seed, 60)[20:] for seed in range(3)]
+    assert all(len(episode) == 40 for episode in episodes)
+    walkers = stacked([episode[0][0] for episode in episodes])
+    for count in range(40):
+        actions = np.array([episode[count][1] for episode in episodes])
+        walkers, after = step(walkers, np.resize(actions, (LANES, 4)))
+    expected = np.array([episode[-1][2] for episode in episodes])
+    np.testing.assert_allclose(after.observation[:3], expected, atol=5e-3)
+
+
+def test_a_reset_on_gymnasiums_terrain_is_gymnasiums(official):
+    walkers, expected = [], []
+    for seed in range(3):
+        observation, _ = official.reset(seed=seed)
+        rng, _ = seeding.np_random(seed)
+        heights = np.float32(lean._draw_grass(rng))
+        rng.random(lean._CLOUD_DRAWS)
+        walkers.append(walker.made_on(heights, np.float32(rng.uniform(-5, 5))))
+        expected.append(observation)
+    first, after = step(stacked(walkers), np.zeros((LANES, 4)))
+    np.testing.assert_allclose(after.observation[:3], expected, atol=1e-5)
+    assert (np.asarray(first.steps) == 0).all()
+
+
+def test_falls_end_it_when_gymnasiums_end(official):
+    falls = [played(official, seed, 1600, 0.6)[-LANES:] for seed in range(4)]
+    falls = [rows for rows in falls if rows[-1][3]]
+    assert len(falls) >= 2
+    for rows in falls:
+        walkers, actions = stacked([row[0] for row in rows]), [row[1] for row in rows]
+        _, after = step(walkers, np.resize(actions, (LANES, 4)))
+        terminated = np.asarray(after.terminated)[: len(rows)]
+        np.testing.assert_array_equal(terminated, [row[3] for row in rows])
+        assert float(after.reward[len(rows) - 1]) == -100
+
+
+def test_ends(official):
+    official.reset(seed=0)
+    one = copied(official)
+    place = dataclasses.replace(one.world.place, x=one.world.place.x + np.float32(parts.GOAL - 4))
+    there = dataclasses.replace(one, world=dataclasses.replace(one.world, place=place))
+    late = dataclasses.replace(one, steps=np.int32(1599))
+    later = dataclasses.replace(one, steps=np.int32(1598))
+    _, after = step(stacked([there, late, later, one]), np.zeros((LANES, 4)))
+    assert np.asarray(after.terminated)[:4].tolist() == [True, False, False, False]
+    assert np.asarray(after.truncated)[:4].tolist() == [False, True, False, False]
+
+
+def test_neither_place_nor_neighbours_matter(official):
+    rows = played(official, 0, 60, 0.3)[::4] + played(official, 1, 60, 0.3)[1::4]
+    order = np.random.default_rng(0).permutation(len(rows))
+    found = {}
+    for begin in (0, 5, 9):
+        some = order[begin : begin + LANES]
+        _, after = step(stacked([rows[i][0] for i in some]), np.stack([rows[i][1] for i in some]))
+        for lane, i in enumerate(some):
+            seen = np.asarray(after.observation[lane])
+            np.testing.assert_array_equal(found.setdefault(i, seen), seen)
+
+
+def test_terrain_is_drawn_as_gymnasium_draws_it():
+    keys = jax.random.split(jax.random.key(0), 400)
+    ours = np.asarray(jax.jit(jax.vmap(ground.grass))(keys))
+    theirs = np.array([lean._draw_grass(np.random.default_rng(seed)) for seed in range(400)])
+    assert (ours[:, :20] == ours[0, 0]).all()
+    for values in (lambda x: x[:, 60], lambda x: x[:, -1], lambda x: np.diff(x)[:, 100]):
+        assert distance(values(ours), values(theirs)) < 0.1
+    # The first corner of a stretch repeats the height before: about one in six and a half.
+    flat = [(np.diff(heights[:, 30:]) == 0).mean() for heights in (ours, theirs)]
+    assert flat[0] == pytest.approx(flat[1], abs=0.005)
+
+
+def test_the_pool_plays_by_seeds():
+    seeds = np.arange(3, dtype=np.uint32)
+    action = np.random.default_rng(0).uniform(-1, 1, (3, 4)).astype(np.float32)
+    with make_pool("jax", 3) as pool:
+        first = pool.step(np.full(3, Command.RESET), action, seeds)
+        assert (first.reward == 0).all()
+        second = pool.step(np.full(3, Command.STEP), action, seeds)
+        # One idles, one steps, one begins the episode of another.
+        command = np.array([Command.IDLE, Command.STEP, Command.RESET])
+        third = pool.step(command, action, seeds[[0, 1, 0]])
+        np.testing.assert_array_equal(third.observation[0], second.observation[0])
+        assert (third.observation[1] != second.observation[1]).any()
+        np.testing.assert_array_equal(third.observation[2], first.observation[0])
+        again = pool.step(np.full(3, Command.STEP), action[[0, 1, 0]], seeds)
+        np.testing.assert_array_equal(again.observation[2], second.observation[0])
+
+
+def test_the_pool_has_plain_terrain_only():
+    with pytest.raises(ValueError, match=r"BipedalWalkerHardcore-v3.*must be BipedalWalker-v3"):
+        make_pool("jax", 1, env_id="BipedalWalkerHardcore-v3")
+
+
+def test_made_walkers_differ_by_key():
+    one, other = (walker.made(make_key(seed)) for seed in (1, 2))
+    assert (one.heights != other.heights).any()
+    assert one.world.velocity.x[0] != other.world.velocity.x[0]
+
+
+def test_of_one_maps_over_any_axes():
+    @of_one
+    def total(values, factor):  # [n, B], [B]
+        return (values * factor).sum(0)
+
+    values, factor = jnp.arange(24.0).reshape(2, 3, 4), jnp.arange(6.0).reshape(2, 3)
+    np.testing.assert_allclose(total(values[0, 0], factor[0, 1]), values[0, 0].sum())
+    mapped = jax.jit(jax.vmap(jax.vmap(total)))(values, factor)
+    np.testing.assert_allclose(mapped, (values * factor[..., None]).sum(-1))
+    mapped = jax.vmap(total, in_axes=(0, None))(values[0], 2.0)
+    np.testing.assert_allclose(mapped, 2 * values[0].sum(-1))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.7, 1.0])
+def test_rarely_works_for_those_who_need_it(share):
+    needed = np.random.default_rng(0).uniform(size=100) < share
+    state = (jnp.arange(100.0), jnp.zeros((2, 100)))
+    done = rarely(needed, lambda s, c: (s[0] + c, s[1] - 1), state, jnp.full(100, 5.0))
+    np.testing.assert_array_equal(done[0], np.arange(100) + 5 * needed)
+    np.testing.assert_array_equal(done[1], np.tile(-1.0 * needed, (2, 1)))
