@@ -1,7 +1,7 @@
 """How near each part is to what this machine can do: `python -m experiments.benchmark`.
 
 Every ratio is of two figures of one run, since machines differ and are noisy. Let nothing else run
-beside it. `scaling`, `saves` and `peers` take some minutes each.
+beside it. `scaling`, `saves`, `walkers` and `peers` take some minutes each.
 """
 
 import dataclasses
@@ -18,6 +18,7 @@ from experiments.benchmarks.pool import measure_pool
 from experiments.benchmarks.saves import measure_saves
 from experiments.benchmarks.scaling import draw_scaling, measure_scaling
 from experiments.benchmarks.timing import Row, print_rows
+from experiments.benchmarks.walkers import measure_walkers
 from experiments.cli import BadInput, run_main
 from hitl_jax.envs import num_cores
 from hitl_jax.files import write_text_atomic
@@ -29,15 +30,15 @@ class BenchmarkOptions:
     """Measure learner, walkers and loop on this machine, their growth with runs, and their peers.
 
     Attributes:
-        only: parts to measure: some of learner, pool, loop, scaling, saves, peers (which needs the
-            extra `bench`).
+        only: parts to measure: some of learner, pool, loop, scaling, saves, walkers, peers (which
+            needs the extra `bench`).
         json: a file for the same numbers.
         plot: a .png or .svg file for a picture of the part scaling.
         tile: runs vmapped together on one device, in the part learner; by default as in the sweep.
         seconds: time for one measurement [s].
     """
 
-    only: tuple[str, ...] = ("learner", "pool", "loop", "scaling", "saves", "peers")
+    only: tuple[str, ...] = ("learner", "pool", "loop", "scaling", "saves", "walkers", "peers")
     json: str | None = None
     plot: str | None = None
     tile: int | None = None
@@ -79,6 +80,7 @@ PARTS: dict[str, Callable[[BenchmarkOptions], list[Row]]] = {
     "loop": lambda options: measure_loop(options.seconds),
     "scaling": lambda options: measure_scaling(options.seconds),
     "saves": lambda options: measure_saves(options.seconds),
+    "walkers": lambda options: measure_walkers(options.seconds),
     "peers": lambda options: measure_peers(options.seconds),
 }
 

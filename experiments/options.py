@@ -40,8 +40,9 @@ class SweepOptions:
         test_episodes: test episodes of a run, alone and again with the human (default: the
             preset's).
         backend: `lean`, equal to gymnasium's walker bit for bit and twice as fast; `gymnasium`,
-            the official one; `envpool`, whose terrain cannot be seeded (needs the extra `fast`).
-        workers: processes that step walkers (default: one a core).
+            the official one; `envpool`, whose terrain cannot be seeded (needs the extra `fast`);
+            `jax`, our own, compiled, which agrees with them up to rounding.
+        workers: processes that step walkers, or CPU devices with `jax` (default: one a core).
         slots: runs at a time, at least two a core; the others wait. Each takes capacity x 140 bytes
             of memory.
         human_policy: a `params.npz` whose actor gives the human's actions (default: gymnasium's

@@ -26,7 +26,7 @@ from hitl_jax.rollout import Rollout
     [
         (
             ["--only", "speed"],
-            "--only speed: must be some of learner, pool, loop, scaling, saves, peers",
+            "--only speed: must be some of learner, pool, loop, scaling, saves, walkers, peers",
         ),
         (["--only", "learner,speed"], "--only learner,speed: must be some of"),
         (["--only"], "--only"),

@@ -88,19 +88,30 @@ def _plain_steps(ready: Barrier, walkers: int, seconds: float) -> float:
 
 def pool_rate(backend: str, workers: int, seconds: float) -> float:
     """Steps/s of one of our pools."""
+    (rate,) = pool_rates(backend, workers, seconds, WALKERS, 1)
+    return rate
+
+
+def pool_rates(
+    backend: str, workers: int, seconds: float, walkers: int, stretches: int
+) -> list[float]:
+    """Steps/s of one of our pools, in stretches of some seconds one after the other."""
     rng = np.random.default_rng(0)
-    seeds = np.arange(WALKERS, dtype=np.uint32)
-    with make_pool(backend, WALKERS, workers) as pool:
-        command = np.full(WALKERS, Command.RESET, np.uint8)
-        pool.step(command, _actions(rng, WALKERS), seeds)
+    seeds = np.arange(walkers, dtype=np.uint32)
+    rates = []
+    with make_pool(backend, walkers, workers) as pool:
+        command = np.full(walkers, Command.RESET, np.uint8)
+        pool.step(command, _actions(rng, walkers), seeds)
         command[:] = Command.STEP
-        steps, start = 0, time.perf_counter()
-        while time.perf_counter() - start < seconds:
-            answer = pool.step(command, _actions(rng, WALKERS), seeds)
-            steps += int((command == Command.STEP).sum())
-            ended = answer.terminated | answer.truncated
-            command = np.where(ended, Command.RESET, Command.STEP).astype(np.uint8)
-        return steps / (time.perf_counter() - start)
+        for _ in range(stretches):
+            steps, start = 0, time.perf_counter()
+            while time.perf_counter() - start < seconds:
+                answer = pool.step(command, _actions(rng, walkers), seeds)
+                steps += int((command == Command.STEP).sum())
+                ended = answer.terminated | answer.truncated
+                command = np.where(ended, Command.RESET, Command.STEP).astype(np.uint8)
+            rates.append(steps / (time.perf_counter() - start))
+    return rates
 
 
 def _actions(rng: np.random.Generator, walkers: int) -> np.ndarray:

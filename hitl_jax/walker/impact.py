@@ -15,8 +15,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax.walker import grips, parts, touch
+from hitl_jax.walker.once import once
 from hitl_jax.walker.plane import Pose, Vec, cross, dot, pose, tangent, where
-from hitl_jax.walker.touch import CORNERS, NORMALS, Contacts, Edges
+from hitl_jax.walker.touch import (
+    CORNERS,
+    NEXT_CORNERS,
+    NORMALS,
+    Contacts,
+    Edges,
+    first_of,
+    pick,
+)
 
 _TARGET = parts.LINEAR_SLOP
 """An impact leaves this distance between the cores [m]: the skins' thickness less three slops."""
@@ -78,10 +87,8 @@ class _Axis:
 
     def deepest(self, part: Pose, edges: Edges) -> Vec:
         """The point that is deepest: of the part, in it; or else of the edge, in the world."""
-        corners = [dot(part.turned(corner), self.normal) for corner in CORNERS]
-        chosen, least = CORNERS[0], corners[0]
-        for corner, value in zip(CORNERS[1:], corners[1:], strict=True):
-            chosen, least = where(value < least, corner, chosen), jnp.minimum(value, least)
+        depths = dot(part.turned(CORNERS), self.normal)
+        chosen = pick(first_of(depths <= depths.min(0)), CORNERS)
         turned = part.turned(self.normal)
         of_edge = where(dot(edges.end - edges.start, turned) < 0, edges.end, edges.start)
         return where(self.of_part, of_edge, chosen)
@@ -96,44 +103,45 @@ def _closest(part: Pose, edges: Edges) -> tuple[jax.Array, _Axis]:
     """Distance of the cores [m], 0 where they overlap, and the axis between what is closest."""
     along = edges.end - edges.start
     square = dot(along, along)
-    corners = [part.put(corner) for corner in CORNERS]
-    best = jnp.full_like(square, jnp.inf)
-    of_part = jnp.zeros_like(square, bool)
-    normal, anchor = along, along
-    for corner in corners:
-        share = dot(corner - edges.start, along) / square
-        on_edge = edges.start + along * jnp.clip(share, 0.0, 1.0)
-        apart = corner - on_edge
-        distance = dot(apart, apart)
-        inside = (share > 0) & (share < 1)
-        upright = tangent(along) * (1.0 / jnp.sqrt(square))
-        upright = where(dot(upright, apart) < 0, -upright, upright)
-        direction = where(inside, upright, apart * (1.0 / jnp.sqrt(jnp.maximum(distance, 1e-30))))
-        nearer = distance < best
-        normal = where(nearer, direction, normal)
-        anchor = where(nearer, where(inside, edges.start, on_edge), anchor)
-        best = jnp.minimum(best, distance)
-    overlaps = jnp.ones_like(of_part)
-    local_start, local_end = part.took(edges.start), part.took(edges.end)
-    sides = zip(CORNERS, CORNERS[1:] + CORNERS[:1], NORMALS, strict=True)
-    for corner, following, outward in sides:
-        side = following - corner
-        for end in (local_start, local_end):
-            share = dot(end - corner, side) / dot(side, side)
-            depth = dot(end - corner, outward)
-            nearer = (share > 0) & (share < 1) & (depth > 0) & (depth * depth < best)
-            of_part = of_part | nearer
-            normal = where(nearer, outward, normal)
-            anchor = where(nearer, (corner + following) * 0.5, anchor)
-            best = jnp.where(nearer, depth * depth, best)
-        beside = jnp.minimum(dot(local_start - corner, outward), dot(local_end - corner, outward))
-        overlaps = overlaps & (beside <= 0)
-    heights = [cross(along, corner - edges.start) for corner in corners]
-    above, below = (jnp.ones_like(overlaps) for _ in range(2))
-    for height in heights:
-        above, below = above & (height > 0), below & (height < 0)
-    overlaps = overlaps & ~above & ~below
-    return jnp.where(overlaps, 0.0, jnp.sqrt(best)), _Axis(of_part, normal, anchor)
+    upright = tangent(along) * (1.0 / jnp.sqrt(square))
+
+    # Corners of the part, each with the edge's nearest point.
+    corners = part.put(CORNERS)
+    shares = dot(corners - edges.start, along) / square
+    aways = corners - (edges.start + along * jnp.clip(shares, 0.0, 1.0))
+    squares = dot(aways, aways)
+    of_corner = squares.min(0)
+    corner = pick(once(first_of(squares <= of_corner)), corners)
+    share = dot(corner - edges.start, along) / square
+    inside = (share > 0) & (share < 1)
+    on_edge = edges.start + along * jnp.clip(share, 0.0, 1.0)
+    away = corner - on_edge
+    facing = where(dot(upright, away) < 0, -upright, upright)
+    from_end = away * (1.0 / jnp.sqrt(jnp.maximum(of_corner, 1e-30)))
+    normal = where(inside, facing, from_end)
+    anchor = where(inside, edges.start, on_edge)
+
+    # Ends of the edge that are nearest to the middle of a side.
+    side = NEXT_CORNERS - CORNERS
+    depths, reached = [], []
+    for end in (part.took(edges.start), part.took(edges.end)):
+        share = dot(end - CORNERS, side) / dot(side, side)
+        depth = dot(end - CORNERS, NORMALS)
+        depths.append(depth)
+        over = (share > 0) & (share < 1) & (depth > 0)
+        reached.append(jnp.where(over, depth * depth, jnp.inf))
+    of_side = jnp.minimum(reached[0], reached[1])
+    least = of_side.min(0)
+    of_part = least < of_corner
+    place = once(first_of(of_side <= least))
+    normal = where(of_part, pick(place, NORMALS), normal)
+    anchor = where(of_part, pick(place, (CORNERS + NEXT_CORNERS) * 0.5), anchor)
+
+    heights = cross(along, corners - edges.start)
+    apart = (jnp.minimum(depths[0], depths[1]) > 0).any(0)
+    apart = apart | (heights > 0).all(0) | (heights < 0).all(0)
+    distance = jnp.sqrt(jnp.minimum(of_corner, least))
+    return jnp.where(apart, distance, 0.0), _Axis(of_part, normal, anchor)
 
 
 def time_of_impact(sweep: Sweep, edges: Edges) -> jax.Array:
@@ -239,13 +247,9 @@ def may_meet(end: Pose, edges: Edges) -> jax.Array:
     """Whether parts are at the end of a step so near edges that they may have met them, [B]."""
     along = edges.end - edges.start
     upright = tangent(along) * (-1.0 / jnp.sqrt(dot(along, along)))
-    heights = [dot(upright, end.put(corner) - edges.start) for corner in CORNERS]
-    above = jnp.minimum(jnp.minimum(heights[0], heights[1]), jnp.minimum(heights[2], heights[3]))
+    above = dot(upright, end.put(CORNERS) - edges.start).min(0)
     start, stop = end.took(edges.start), end.took(edges.end)
-    beside = jnp.full_like(above, -jnp.inf)
-    for corner, outward in zip(CORNERS, NORMALS, strict=True):
-        off = jnp.minimum(dot(start - corner, outward), dot(stop - corner, outward))
-        beside = jnp.maximum(beside, off)
+    beside = jnp.minimum(dot(start - CORNERS, NORMALS), dot(stop - CORNERS, NORMALS)).max(0)
     apart = jnp.maximum(above, beside)
     return ((apart < _TARGET + _TOLERANCE) & edges.exist).any((0, 1))
 
@@ -280,27 +284,24 @@ def land(moved: Moved, edges: Edges) -> Moved:
     Returns:
         The parts at its end.
     """
-    count = jnp.zeros_like(edges.index)
-    off = jnp.zeros_like(edges.index, bool)
-    carry = moved, count, off, _next(moved, edges, count, off)
 
     def goes(carry: tuple) -> jax.Array:
-        moment: jax.Array = carry[3].min(0)
-        return (moment < _ALL).any()
+        more: jax.Array = carry[-1]
+        return more
 
     def one(carry: tuple) -> tuple:
-        moved, count, off, moments = carry
+        moved, count, off, _ = carry
+        moments = _next(moved, edges, count, off)
         moment = moments.min(0)
         meets = moment < _ALL
         first = meets & (moments == moment) & (count <= _MOST_IMPACTS)
         after, touched = _impact(moved, edges, moment, first)
         lands = meets & touched
-        chosen = jax.tree.map(lambda new, old: jnp.where(lands, new, old), after, moved)
-        count = count + first
-        off = off | (first & ~touched)
-        return chosen, count, off, _next(chosen, edges, count, off)
+        moved = jax.tree.map(lambda new, old: jnp.where(lands, new, old), after, moved)
+        return moved, count + first, off | (first & ~touched), meets.any()
 
-    moved, *_ = jax.lax.while_loop(goes, one, carry)
+    count, off = jnp.zeros_like(edges.index), jnp.zeros_like(edges.index, bool)
+    moved, *_ = jax.lax.while_loop(goes, one, (moved, count, off, jnp.bool_(True)))
     return moved
 
 

@@ -26,17 +26,47 @@ _BETTER_BY = 0.001
 _FACE = 64
 
 
-def _sides() -> list[tuple[Vec, Vec]]:
-    """Corner i and the outward normal of the side from it to the next, each [parts, 1]."""
-    along = np.roll(parts.LEG_CORNERS, -1, axis=1) - parts.LEG_CORNERS
+def polygon(corners: np.ndarray) -> tuple[Vec, Vec]:
+    """Corners of a polygon and outward normals of its sides.
+
+    Args:
+        corners: counter-clockwise [..., corners, 2].
+
+    Returns:
+        The corners and, of the side from each to the next, the normal; [corners, ...].
+    """
+    along = np.roll(corners, -1, axis=-2) - corners
     normals = np.stack([along[..., 1], -along[..., 0]], -1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    return [(vec(parts.LEG_CORNERS[:, i], 1), vec(normals[:, i], 1)) for i in range(4)]
+    first, second = (vec(np.moveaxis(values, -2, 0), 1) for values in (corners, normals))
+    return first, second
 
 
-_SIDES = _sides()
-CORNERS = [corner for corner, _ in _SIDES]
-NORMALS = [normal for _, normal in _SIDES]
+CORNERS, NORMALS = polygon(parts.LEG_CORNERS[None])
+"""Of the parts, [corners, 1 for the slots, parts, 1 for the batch]."""
+NEXT_CORNERS = Vec(*(jnp.roll(axis, -1, 0) for axis in (CORNERS.x, CORNERS.y)))
+
+
+def first_of(flags: jax.Array) -> jax.Array:
+    """The first place on the first axis where a flag is set, int32; its length if none is."""
+    count = flags.shape[0]
+    places = jnp.arange(count, dtype=jnp.int32).reshape(-1, *[1] * (flags.ndim - 1))
+    return jnp.where(flags, places, count).min(0)
+
+
+def pick(place: jax.Array, values: Vec) -> Vec:
+    """The vector at a place of the first axis.
+
+    Args:
+        place: int32 [...].
+        values: [places, ...], axes of length 1 allowed.
+
+    Returns:
+        Vectors [...].
+    """
+    count = values.x.shape[0]
+    chosen = place == jnp.arange(count).reshape(-1, *[1] * place.ndim)
+    return Vec(*(jnp.where(chosen, axis, 0.0).sum(0) for axis in (values.x, values.y)))
 
 
 @jax.tree_util.register_dataclass
@@ -106,18 +136,6 @@ class Manifold:
         return [(outward, point, dot(point - plane, normal) - _SKINS) for point in points]
 
 
-def _pick(flags: list[jax.Array], values: list[jax.Array | float]) -> jax.Array:
-    """The value of the first flag that is set, else the last value."""
-    result = jnp.asarray(values[-1])
-    for flag, value in zip(flags[-2::-1], values[-2::-1], strict=True):
-        result = jnp.where(flag, value, result)
-    return result
-
-
-def _pick_vec(flags: list[jax.Array], values: list[Vec]) -> Vec:
-    return Vec(_pick(flags, [v.x for v in values]), _pick(flags, [v.y for v in values]))
-
-
 def touch(part: Pose, edges: Edges) -> Manifold:
     """The manifolds of parts and edges.
 
@@ -132,27 +150,19 @@ def touch(part: Pose, edges: Edges) -> Manifold:
     below = tangent(along * (1.0 / jnp.sqrt(dot(along, along))))
     front = dot(below, part.place - edges.start) >= 0
     up = where(front, below, -below)
-    corners = [part.put(corner) for corner in CORNERS]
-    normals = [part.turned(normal) for normal in NORMALS]
+    corners, normals = part.put(CORNERS), part.turned(NORMALS)
+    next_corners = part.put(NEXT_CORNERS)
 
-    of_edge = _least([dot(up, corner - edges.start) for corner in corners])
-    of_sides = [
-        -jnp.maximum(dot(n, c - edges.start), dot(n, c - edges.end))
-        for n, c in zip(normals, corners, strict=True)
-    ]
-    of_side = -_least([-s for s in of_sides])
+    of_edge = dot(up, corners - edges.start).min(0)
+    of_sides = -jnp.maximum(dot(normals, corners - edges.start), dot(normals, corners - edges.end))
+    of_side = of_sides.max(0)
     near = (of_edge <= _SKINS) & (of_side <= _SKINS) & edges.exist
     on_edge = of_side <= _AS_GOOD * of_edge + _BETTER_BY
 
-    facing = [dot(up, normal) for normal in normals]
-    side = jnp.where(
-        on_edge,
-        _first(facing, _least(facing)),
-        _first([-s for s in of_sides], -of_side),
-    )
-    chosen = [side == i for i in range(4)]
-    corner, following = _pick_vec(chosen, corners), _pick_vec(chosen, corners[1:] + corners[:1])
-    outward = _pick_vec(chosen, normals)
+    facing = dot(up, normals)
+    side = jnp.where(on_edge, first_of(facing <= facing.min(0)), first_of(of_sides >= of_side))
+    side = once(side)
+    corner, following, outward = (pick(side, v) for v in (corners, next_corners, normals))
 
     # The segment that is clipped, and the reference that it is clipped to.
     first, second = where(on_edge, corner, edges.start), where(on_edge, following, edges.end)
@@ -181,8 +191,8 @@ def touch(part: Pose, edges: Edges) -> Manifold:
     return Manifold(
         edge=edges.index,
         on_edge=on_edge,
-        normal=where(on_edge, normal, _pick_vec(chosen, NORMALS)),
-        plane=where(on_edge, left, _pick_vec(chosen, CORNERS)),
+        normal=where(on_edge, normal, pick(side, NORMALS)),
+        plane=where(on_edge, left, pick(side, CORNERS)),
         points=(
             where(on_edge, part.took(points[0]), points[0]),
             where(on_edge, part.took(points[1]), points[1]),
@@ -190,18 +200,6 @@ def touch(part: Pose, edges: Edges) -> Manifold:
         keys=(keys[0], keys[1]),
         valid=(valid[0], valid[1]),
     )
-
-
-def _least(values: list[jax.Array]) -> jax.Array:
-    result = values[0]
-    for value in values[1:]:
-        result = jnp.minimum(result, value)
-    return result
-
-
-def _first(values: list[jax.Array], wanted: jax.Array) -> jax.Array:
-    """The first index whose value is the wanted one, int32."""
-    return _pick([value <= wanted for value in values], [jnp.int32(i) for i in range(len(values))])
 
 
 def _clip(
@@ -249,11 +247,17 @@ def forward(manifold: Manifold, leading: jax.Array | bool = False) -> Manifold:
         slot = jnp.where(group, taken + jnp.cumsum(members, axis=0) - members, slot)
         taken = taken + members.sum(0)
     slot = once(slot)
-    result: Manifold = jax.tree.map(
-        lambda leaf: jnp.stack([_pick(list(slot == to), list(leaf)) for to in range(_SLOTS)]),
-        manifold,
-    )
-    return once(result)
+
+    def moved(leaf: jax.Array) -> jax.Array:
+        rows = []
+        for to in range(_SLOTS):
+            row = leaf[-1]
+            for i in range(_SLOTS - 1):
+                row = jnp.where(slot[i] == to, leaf[i], row)
+            rows.append(row)
+        return jnp.stack(rows)
+
+    return once(jax.tree.map(moved, manifold))
 
 
 @jax.tree_util.register_dataclass

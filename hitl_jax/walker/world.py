@@ -9,14 +9,13 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from hitl_jax.walker import grips, ground, hinges, impact, parts, touch
 from hitl_jax.walker.grips import Speeds
 from hitl_jax.walker.hinges import Impulses, Row
-from hitl_jax.walker.plane import Pose, Vec, dot, pose, tangent, vec, where
+from hitl_jax.walker.plane import Pose, Vec, dot, pose, tangent, where
 from hitl_jax.walker.rarely import rarely
-from hitl_jax.walker.touch import Contacts, Edges
+from hitl_jax.walker.touch import Contacts
 
 _ROUNDS_FOR_ALL = 2
 """Position rounds that all walkers make together; most need no more."""
@@ -27,15 +26,8 @@ _SOUND = -3 * parts.LINEAR_SLOP
 _FIRMNESS = 0.2
 
 
-def _hull_sides() -> list[tuple[Vec, Vec]]:
-    corners = parts.HULL_CORNERS - parts.HULL_CENTRE
-    along = np.roll(corners, -1, axis=0) - corners
-    normals = np.stack([along[:, 1], -along[:, 0]], -1)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    return [(vec(corner), vec(normal)) for corner, normal in zip(corners, normals, strict=True)]
-
-
-_HULL_SIDES = _hull_sides()
+_HULL_CORNERS, _HULL_NORMALS = touch.polygon((parts.HULL_CORNERS - parts.HULL_CENTRE)[None])
+"""[corners, 1 for the edges, 1 for the batch]."""
 
 
 @jax.tree_util.register_dataclass
@@ -131,28 +123,19 @@ def legs_of(bodies: Pose) -> Pose:
 
 def legs_left(legs: Pose) -> jax.Array:
     """Where the parts of the legs begin, skin included [4, B] [m]."""
-    corners = [legs.put(corner).x for corner in touch.CORNERS]
-    least = jnp.minimum(jnp.minimum(corners[0], corners[1]), jnp.minimum(corners[2], corners[3]))
-    return least - 2 * parts.SKIN
+    return legs.put(touch.CORNERS).x.min((0, 1)) - 2 * parts.SKIN
 
 
 def _hull_meets(bodies: Pose, heights: jax.Array, near: float) -> jax.Array:
     """Whether the core of the hull is so near the ground [m], bool [B]."""
     hull = Pose(Vec(bodies.place.x[0], bodies.place.y[0]), bodies.cos[0], bodies.sin[0])
-    corners = [hull.put(corner) for corner, _ in _HULL_SIDES]
-    left = corners[0].x
-    for corner in corners[1:]:
-        left = jnp.minimum(left, corner.x)
-    edges: Edges = ground.edges_of_hull(heights, left - 2 * parts.SKIN)
+    corners, normals = hull.put(_HULL_CORNERS), hull.turned(_HULL_NORMALS)
+    edges = ground.edges_of_hull(heights, corners.x.min((0, 1)) - 2 * parts.SKIN)
     along = edges.end - edges.start
     up = tangent(along) * (-1.0 / jnp.sqrt(dot(along, along)))
-    apart = dot(up, corners[0] - edges.start)
-    for corner in corners[1:]:
-        apart = jnp.minimum(apart, dot(up, corner - edges.start))
-    for corner, (_, normal) in zip(corners, _HULL_SIDES, strict=True):
-        outward = hull.turned(normal)
-        off = jnp.minimum(dot(outward, edges.start - corner), dot(outward, edges.end - corner))
-        apart = jnp.maximum(apart, off)
+    above = dot(up, corners - edges.start).min(0)
+    beside = jnp.minimum(dot(normals, edges.start - corners), dot(normals, edges.end - corners))
+    apart = jnp.maximum(above, beside.max(0))
     return ((apart <= near) & edges.exist).any(0)
 
 
