@@ -6,13 +6,13 @@ An example of what else the walker is for; nothing here is tuned.
 import dataclasses
 import sys
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.training.agents.ppo.train import train
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from experiments.cli import BadInput, run_main
@@ -20,6 +20,11 @@ from experiments.compile_cache import keep_programs
 from hitl_jax.config import require
 from hitl_jax.walker.brax_env import BipedalWalker
 from hitl_jax.walker.env import MOST_STEPS
+
+with warnings.catch_warnings():
+    # What Brax's own imports say.
+    warnings.simplefilter("ignore")
+    from brax.training.agents.ppo.train import train
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,8 +67,7 @@ def main(options: PpoOptions) -> int:
     except ValueError as error:
         raise BadInput(str(error)) from error
     keep_programs()
-    metrics = run(options)
-    print(", ".join(f"{name} {float(value):.4g}" for name, value in sorted(metrics.items())))
+    run(options)
     return 0
 
 
@@ -75,14 +79,14 @@ def _replicated(tree: Any, devices: Sequence[jax.Device]) -> Any:
     )
 
 
-def run(options: PpoOptions) -> Mapping[str, Any]:
-    """Trains.
+def run(options: PpoOptions) -> Any:
+    """Trains, and prints a line for each test.
 
     Args:
         options: how.
 
     Returns:
-        What Brax measured at last.
+        What was learned: Brax's statistics of observations, the policy's parameters, the value's.
     """
     if not hasattr(jax, "device_put_replicated"):
         # JAX 0.10 took it away, Brax 0.14.2 calls it: https://github.com/google/brax/issues/671
@@ -99,7 +103,7 @@ def run(options: PpoOptions) -> Mapping[str, Any]:
             )
 
     minibatches = 8
-    *_, metrics = train(
+    _, params, _ = train(
         BipedalWalker(),
         num_timesteps=options.steps,
         num_envs=options.walkers,
@@ -121,7 +125,7 @@ def run(options: PpoOptions) -> Mapping[str, Any]:
         run_evals=options.evaluations > 0,
         progress_fn=tell,
     )
-    return metrics
+    return params
 
 
 if __name__ == "__main__":

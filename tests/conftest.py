@@ -18,7 +18,15 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
 
 # Files go to the workers one by one: what takes long must not be left for the end.
-_LONGEST = ("test_seed_sweep", "test_rollout", "test_ablation", "test_agent", "test_batch")
+_LONGEST = (
+    "test_seed_sweep",
+    "test_brax",
+    "test_walker",
+    "test_rollout",
+    "test_ablation",
+    "test_agent",
+    "test_batch",
+)
 
 
 def pytest_collection_modifyitems(items):

@@ -1,10 +1,16 @@
 """The walker as a Brax environment: any of Brax's agents can train on it."""
 
+import warnings
+
 import jax
 import jax.numpy as jnp
-from brax.envs.base import Env, State
 
 from hitl_jax.walker import env
+
+with warnings.catch_warnings():
+    # What Brax's own imports say.
+    warnings.simplefilter("ignore")
+    from brax.envs.base import Env, State
 
 
 class BipedalWalker(Env):
