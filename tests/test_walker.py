@@ -194,6 +194,21 @@ def test_the_pool_plays_by_seeds():
         np.testing.assert_array_equal(again.observation[2], second.observation[0])
 
 
+def test_many_walkers_are_stepped_in_blocks(monkeypatch):
+    def begun(num):
+        seeds = np.arange(num, dtype=np.uint32)
+        with make_pool("jax", num, 1) as pool:
+            actions = np.zeros((num, 4), np.float32)
+            pool.step(np.full(num, Command.RESET), actions, seeds)
+            return pool.step(np.full(num, Command.STEP), actions + 1, seeds).observation
+
+    few = begun(3)
+    monkeypatch.setattr(jax_pool, "_MOST_LANES", LANES)
+    many = begun(2 * LANES + 1)
+    np.testing.assert_array_equal(many[:3], few)
+    assert len(np.unique(many, axis=0)) == len(many)
+
+
 def test_the_pool_has_plain_terrain_only():
     with pytest.raises(ValueError, match=r"BipedalWalkerHardcore-v3.*must be BipedalWalker-v3"):
         make_pool("jax", 1, env_id="BipedalWalkerHardcore-v3")

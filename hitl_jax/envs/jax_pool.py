@@ -1,6 +1,7 @@
 """The walkers of `hitl_jax.walker` behind the interface of all pools."""
 
 import functools
+import math
 
 import jax
 import jax.numpy as jnp
@@ -13,12 +14,14 @@ from hitl_jax.keys import make_key
 from hitl_jax.walker import Step, Walker
 
 _LANES = 16
-"""Walkers of a device are a multiple of this: XLA rounds otherwise where a vector register is not
+"""Walkers of a block are a multiple of this: XLA rounds otherwise where a vector register is not
 full, and an episode's numbers would tell how many walkers there were."""
+_MOST_LANES = 2048
+"""More walkers at once do not fit into a core's cache."""
 
 
 class JaxPool(CheckedPool):
-    """N walkers, shared out over devices, whose programs run side by side."""
+    """N walkers in blocks of equal size, which are shared out over devices."""
 
     seedable = True
 
@@ -30,9 +33,12 @@ class JaxPool(CheckedPool):
             num_devices: CPU devices to share them out over; an accelerator takes all.
         """
         super().__init__(num_walkers, walker.OBSERVATION_SIZE, walker.ACTION_SIZE)
-        most = -(-num_walkers // _LANES)
-        self._devices = walker_devices(min(num_devices, most))
-        self._lanes = -(-most // len(self._devices)) * _LANES
+        devices = walker_devices(min(num_devices, math.ceil(num_walkers / _LANES)))
+        cpu = devices[0].platform == "cpu"
+        needed = math.ceil(num_walkers / _MOST_LANES) if cpu else 1
+        blocks = math.ceil(needed / len(devices)) * len(devices)
+        self._lanes = math.ceil(num_walkers / blocks / _LANES) * _LANES
+        self._devices = [devices[block % len(devices)] for block in range(blocks)]
         self._walkers = [_waiting(self._lanes, device) for device in self._devices]
         self._steps: list[Step] = []
         self._observation = np.zeros((num_walkers, self.observation_size), np.float32)
@@ -46,7 +52,7 @@ class JaxPool(CheckedPool):
             self._steps.append(step)
 
     def _shared(self, array: np.ndarray) -> np.ndarray:
-        """The rows [N, ...] by device [D, lanes, ...]; those that are of no walker are 0."""
+        """The rows [N, ...] by block [K, lanes, ...]; those that are of no walker are 0."""
         lanes = len(self._devices) * self._lanes
         padded = np.zeros((lanes, *array.shape[1:]), array.dtype)
         padded[: len(array)] = array
@@ -69,8 +75,8 @@ class JaxPool(CheckedPool):
 
     def walker(self, index: int) -> Walker:
         """One of the walkers as it is, to be drawn; leaves without a batch axis."""
-        device, lane = divmod(index, self._lanes)
-        one: Walker = jax.tree.map(lambda leaf: leaf[lane], self._walkers[device])
+        block, lane = divmod(index, self._lanes)
+        one: Walker = jax.tree.map(lambda leaf: leaf[lane], self._walkers[block])
         return one
 
     def _shutdown(self) -> None:
@@ -92,7 +98,7 @@ def _made(seeds: jax.Array) -> Walker:
 def _tick(
     walkers: Walker, command: jax.Array, action: jax.Array, seed: jax.Array
 ) -> tuple[Walker, Step]:
-    """A tick of a device's walkers; what it tells of one that is idle means nothing."""
+    """A tick of a block of walkers; what it tells of one that is idle means nothing."""
     begins, idle = command == Command.RESET, command == Command.IDLE
 
     def renewed() -> Walker:

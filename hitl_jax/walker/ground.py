@@ -30,7 +30,7 @@ def _corners(heights: jax.Array, index: jax.Array) -> Vec:
     """Corners of the ground by their places in it, any leading axes and [..., B]."""
     inside = jnp.clip(index, 0, parts.NUM_EDGES)
     flat = inside.reshape(-1, inside.shape[-1])
-    height = jnp.take_along_axis(heights, flat, axis=0).reshape(index.shape)
+    height = jnp.take_along_axis(heights, flat, axis=0, mode="clip").reshape(index.shape)
     return Vec(jnp.asarray(parts.CORNER_X)[inside], height)
 
 
