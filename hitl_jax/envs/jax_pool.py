@@ -80,6 +80,7 @@ class JaxPool(CheckedPool):
         return one
 
     def _shutdown(self) -> None:
+        jax.block_until_ready(self._walkers)  # A process that ends under a program's feet crashes.
         self._walkers, self._steps = [], []
 
 
