@@ -21,6 +21,8 @@ from hitl_jax.envs import WALKER, Command, make_pool
 WALKERS = 64
 WORKERS = 2
 START_SECONDS = 60.0
+_WARM_UP = 60
+"""Ticks before measuring: first steps of an episode cost more, and all walkers' come together."""
 REFERENCE = "official, one plain process"
 
 
@@ -98,18 +100,24 @@ def pool_rates(
     """Steps/s of one of our pools, in stretches of some seconds one after the other."""
     rng = np.random.default_rng(0)
     seeds = np.arange(walkers, dtype=np.uint32)
-    rates = []
     with make_pool(backend, walkers, workers) as pool:
         command = np.full(walkers, Command.RESET, np.uint8)
-        pool.step(command, _actions(rng, walkers), seeds)
-        command[:] = Command.STEP
+
+        def play() -> int:
+            nonlocal command
+            answer = pool.step(command, _actions(rng, walkers), seeds)
+            steps = int((command == Command.STEP).sum())
+            ended = answer.terminated | answer.truncated
+            command = np.where(ended, Command.RESET, Command.STEP).astype(np.uint8)
+            return steps
+
+        for _ in range(_WARM_UP):
+            play()
+        rates = []
         for _ in range(stretches):
             steps, start = 0, time.perf_counter()
             while time.perf_counter() - start < seconds:
-                answer = pool.step(command, _actions(rng, walkers), seeds)
-                steps += int((command == Command.STEP).sum())
-                ended = answer.terminated | answer.truncated
-                command = np.where(ended, Command.RESET, Command.STEP).astype(np.uint8)
+                steps += play()
             rates.append(steps / (time.perf_counter() - start))
     return rates
 
