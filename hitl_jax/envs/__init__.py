@@ -1,4 +1,7 @@
-"""Host pools of real walkers: the only rooms that import gymnasium or EnvPool, and both lazily."""
+"""Pools of walkers: gymnasium and EnvPool are imported here alone, and lazily.
+
+But for the numbers of gymnasium's walker, which `hitl_jax.walker.parts` reads.
+"""
 
 import os
 

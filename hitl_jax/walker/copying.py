@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -10,8 +9,6 @@ from hitl_jax.walker import ground, parts, touch
 from hitl_jax.walker.hinges import Impulses
 from hitl_jax.walker.plane import pose, vec
 from hitl_jax.walker.world import World, legs_left, legs_of
-
-_FACE = 64
 
 
 def heights_of(env: Any) -> np.ndarray:
@@ -55,14 +52,13 @@ def world_of(env: Any) -> World:
 
 
 def _impulses(env: Any) -> Impulses:
-    seconds = parts.SECONDS
     forces = np.array([tuple(joint.GetReactionForce(1.0)) for joint in env.joints], np.float32)
     limits = np.array([joint.GetReactionTorque(1.0) for joint in env.joints], np.float32)
-    motors = np.array([joint.GetMotorTorque(1 / seconds) for joint in env.joints]) * seconds
+    motors = np.array([joint.GetMotorTorque(1.0) for joint in env.joints], np.float32)
     return Impulses(
         vec(forces, 1),
         jnp.asarray(limits[:, None]),
-        jnp.asarray(motors.astype(np.float32)[:, None]),
+        jnp.asarray(motors[:, None]),
     )
 
 
@@ -84,22 +80,9 @@ def _contacts(env: Any, index: np.ndarray) -> touch.Contacts:
             for row, point in enumerate(contact.manifold.points[: contact.manifold.pointCount]):
                 feature = point.id.cf
                 place = (row, slot, part, 0)
-                keys[place] = feature.indexA + 8 * feature.indexB + _FACE * feature.typeA
+                keys[place] = feature.indexA + 8 * feature.indexB + touch.FACE * feature.typeA
                 valid[place] = True
                 normal[place] = point.normalImpulse
                 along[place] = point.tangentImpulse
     pairs = [tuple(jnp.asarray(rows) for rows in array) for array in (keys, valid, normal, along)]
     return touch.Contacts(jnp.asarray(index), *pairs)  # type: ignore[arg-type]
-
-
-def batch(worlds: list[World]) -> World:
-    """Many worlds as one.
-
-    Args:
-        worlds: whose last axis is their batch.
-
-    Returns:
-        One world, with the last axes one after the other.
-    """
-    result: World = jax.tree.map(lambda *leaves: jnp.concatenate(leaves, -1), *worlds)
-    return result

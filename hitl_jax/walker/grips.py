@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 from hitl_jax.walker import parts
 from hitl_jax.walker.once import once
-from hitl_jax.walker.plane import Pose, Vec, cross, dot, pose, tangent
+from hitl_jax.walker.plane import Pose, Speeds, Vec, cross, dot, pose, tangent
 from hitl_jax.walker.touch import Contacts, Manifold
 
 _WORST_CONDITION = 1000.0
@@ -82,20 +82,6 @@ class Grips:
     points: tuple[Point, Point]
     matrix: tuple[jax.Array, jax.Array, jax.Array]
     inverse: tuple[jax.Array, jax.Array, jax.Array]
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Speeds:
-    """Velocities of the legs' parts, [parts, B].
-
-    Attributes:
-        velocity: of the centre of mass [m/s].
-        spin: [rad/s].
-    """
-
-    velocity: Vec
-    spin: jax.Array
 
 
 def prepare(manifold: Manifold, part: Pose) -> Grips:

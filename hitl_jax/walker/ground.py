@@ -11,9 +11,8 @@ import numpy as np
 
 from hitl_jax.walker import parts
 from hitl_jax.walker.plane import Vec, dot, tangent
-from hitl_jax.walker.touch import Edges
+from hitl_jax.walker.touch import SLOTS, Edges
 
-_SLOTS = 4
 _HULL_EDGES = 6
 """More than the hull can meet at once."""
 
@@ -55,7 +54,7 @@ def edges_of_parts(heights: jax.Array, left: jax.Array) -> Edges:
     Returns:
         Edges [slots, parts, B].
     """
-    return _edges(heights, _first(left) + jnp.arange(_SLOTS)[::-1, None, None])
+    return _edges(heights, _first(left) + jnp.arange(SLOTS)[::-1, None, None])
 
 
 def edges_of_hull(heights: jax.Array, left: jax.Array) -> Edges:

@@ -14,7 +14,7 @@ import numpy as np
 
 from hitl_jax.walker import parts
 from hitl_jax.walker.once import once
-from hitl_jax.walker.plane import Pose, Vec, cross, dot, pose, vec
+from hitl_jax.walker.plane import Pose, Speeds, Vec, cross, dot, pose, vec
 
 _A, _B = np.array(parts.HINGES).T
 
@@ -151,31 +151,17 @@ def begin(hinges: Hinges, impulses: Impulses) -> Impulses:
     return Impulses(impulses.point, jnp.where(holds, impulses.limit, 0.0), impulses.motor)
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Row:
-    """The velocity of one body, [B].
-
-    Attributes:
-        velocity: of its centre of mass [m/s].
-        spin: [rad/s].
-    """
-
-    velocity: Vec
-    spin: jax.Array
-
-
-def _push(rows: list[Row], hinges: Hinges, index: int, point: Vec, turn: jax.Array) -> None:
+def _push(rows: list[Speeds], hinges: Hinges, index: int, point: Vec, turn: jax.Array) -> None:
     """Gives an impulse at a hinge and a turning one to its two bodies."""
     first, second = parts.HINGES[index]
     arm_a, arm_b = _row(hinges.arm_a, index), _row(hinges.arm_b, index)
     mass, inertia = parts.INVERSE_MASS, parts.INVERSE_INERTIA
     a, b = rows[first], rows[second]
-    rows[first] = Row(
+    rows[first] = Speeds(
         a.velocity - point * float(mass[first]),
         a.spin - float(inertia[first]) * (cross(arm_a, point) + turn),
     )
-    rows[second] = Row(
+    rows[second] = Speeds(
         b.velocity + point * float(mass[second]),
         b.spin + float(inertia[second]) * (cross(arm_b, point) + turn),
     )
@@ -185,7 +171,7 @@ def _row(vectors: Vec, index: int) -> Vec:
     return Vec(vectors.x[index], vectors.y[index])
 
 
-def warm(rows: list[Row], hinges: Hinges, impulses: Impulses) -> list[Row]:
+def warm(rows: list[Speeds], hinges: Hinges, impulses: Impulses) -> list[Speeds]:
     """Velocities after the impulses to begin with."""
     rows = list(rows)
     for index in parts.HINGE_ORDER:
@@ -195,8 +181,8 @@ def warm(rows: list[Row], hinges: Hinges, impulses: Impulses) -> list[Row]:
 
 
 def velocity_round(
-    rows: list[Row], hinges: Hinges, impulses: list[Impulses]
-) -> tuple[list[Row], list[Impulses]]:
+    rows: list[Speeds], hinges: Hinges, impulses: list[Impulses]
+) -> tuple[list[Speeds], list[Impulses]]:
     """One round over the hinges.
 
     Args:
@@ -213,7 +199,7 @@ def velocity_round(
     return rows, impulses
 
 
-def _solve(rows: list[Row], hinges: Hinges, index: int, before: Impulses) -> Impulses:
+def _solve(rows: list[Speeds], hinges: Hinges, index: int, before: Impulses) -> Impulses:
     """Motor, then point and limit together, of one hinge; changes the two rows."""
     first, second = parts.HINGES[index]
     motor_mass = float(1.0 / (parts.INVERSE_INERTIA[first] + parts.INVERSE_INERTIA[second]))

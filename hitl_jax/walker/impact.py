@@ -16,7 +16,7 @@ import numpy as np
 
 from hitl_jax.walker import grips, parts, touch
 from hitl_jax.walker.once import once
-from hitl_jax.walker.plane import Pose, Vec, cross, dot, pose, tangent, where
+from hitl_jax.walker.plane import Pose, Speeds, Vec, cross, dot, pose, tangent, where
 from hitl_jax.walker.touch import (
     CORNERS,
     NEXT_CORNERS,
@@ -269,7 +269,7 @@ class Moved:
 
     sweep: Sweep
     done: jax.Array
-    speeds: grips.Speeds
+    speeds: Speeds
     contacts: Contacts
     feet: jax.Array
 
@@ -363,8 +363,8 @@ def _impact(
 
 
 def glide(
-    speeds: grips.Speeds, place: Vec, turn: jax.Array, seconds: jax.Array | float
-) -> tuple[grips.Speeds, Vec, jax.Array]:
+    speeds: Speeds, place: Vec, turn: jax.Array, seconds: jax.Array | float
+) -> tuple[Speeds, Vec, jax.Array]:
     """Moves bodies on, no faster than Box2D lets them.
 
     Args:
@@ -384,4 +384,4 @@ def glide(
     turned = jnp.abs(speeds.spin * seconds)
     fast = turned > parts.MAX_ROTATION
     spin = speeds.spin * jnp.where(fast, parts.MAX_ROTATION / jnp.where(fast, turned, 1.0), 1.0)
-    return grips.Speeds(velocity, spin), place + velocity * seconds, turn + spin * seconds
+    return Speeds(velocity, spin), place + velocity * seconds, turn + spin * seconds

@@ -55,6 +55,20 @@ class Pose:
         return Vec(self.cos * away.x + self.sin * away.y, self.cos * away.y - self.sin * away.x)
 
 
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Speeds:
+    """Velocities of one body or several, arrays of one shape.
+
+    Attributes:
+        velocity: of the centre of mass [m/s].
+        spin: [rad/s].
+    """
+
+    velocity: Vec
+    spin: jax.Array
+
+
 def pose(place: Vec, angle: jax.Array) -> Pose:
     """The pose of a body from its centre of mass and its angle [rad]."""
     return Pose(place, jnp.cos(angle), jnp.sin(angle))

@@ -18,12 +18,13 @@ from hitl_jax.walker.once import once
 from hitl_jax.walker.plane import Pose, Vec, dot, tangent, vec, where
 
 _SKINS = 2 * parts.SKIN
-_SLOTS = 4
+SLOTS = 4
 _AS_GOOD = 0.98
 _BETTER_BY = 0.001
 """A side of the part is taken for reference rather than the edge where it is better by so much."""
 
-_FACE = 64
+FACE = 64
+"""In the key of a point that was not cut off."""
 
 
 def polygon(corners: np.ndarray) -> tuple[Vec, Vec]:
@@ -173,8 +174,8 @@ def touch(part: Pose, edges: Edges) -> Manifold:
     zero = jnp.zeros_like(side)
     # A key is made of a feature of the edge, one of the part, and which of the two is a side.
     keys = [
-        jnp.where(on_edge, 8 * side + _FACE, side + _FACE),
-        jnp.where(on_edge, 8 * next_side + _FACE, side + _FACE),
+        jnp.where(on_edge, 8 * side + FACE, side + FACE),
+        jnp.where(on_edge, 8 * next_side + FACE, side + FACE),
     ]
     incident = jnp.where(on_edge, side, zero)
     points = [first, second]
@@ -250,9 +251,9 @@ def forward(manifold: Manifold, leading: jax.Array | bool = False) -> Manifold:
 
     def moved(leaf: jax.Array) -> jax.Array:
         rows = []
-        for to in range(_SLOTS):
+        for to in range(SLOTS):
             row = leaf[-1]
-            for i in range(_SLOTS - 1):
+            for i in range(SLOTS - 1):
                 row = jnp.where(slot[i] == to, leaf[i], row)
             rows.append(row)
         return jnp.stack(rows)

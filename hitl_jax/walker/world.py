@@ -11,9 +11,8 @@ import jax
 import jax.numpy as jnp
 
 from hitl_jax.walker import grips, ground, hinges, impact, parts, touch
-from hitl_jax.walker.grips import Speeds
-from hitl_jax.walker.hinges import Impulses, Row
-from hitl_jax.walker.plane import Pose, Vec, dot, pose, tangent, where
+from hitl_jax.walker.hinges import Impulses
+from hitl_jax.walker.plane import Pose, Speeds, Vec, dot, pose, tangent, where
 from hitl_jax.walker.rarely import rarely
 from hitl_jax.walker.touch import Contacts
 
@@ -151,7 +150,7 @@ class _Motion:
         along: likewise, of friction.
     """
 
-    rows: list[Row]
+    rows: list[Speeds]
     hinge: list[Impulses]
     normal: grips.Pair
     along: grips.Pair
@@ -219,8 +218,8 @@ def _rounds(
     return jax.lax.fori_loop(0, parts.VELOCITY_ROUNDS, round_, start)
 
 
-def _rows(velocity: Vec, spin: jax.Array) -> list[Row]:
-    return [Row(Vec(velocity.x[i], velocity.y[i]), spin[i]) for i in range(spin.shape[0])]
+def _rows(velocity: Vec, spin: jax.Array) -> list[Speeds]:
+    return [Speeds(Vec(velocity.x[i], velocity.y[i]), spin[i]) for i in range(spin.shape[0])]
 
 
 def _settle(
