@@ -35,6 +35,9 @@ from hitl_jax.types import Behavior, TrainState
 EXTRA_COLUMNS = ("control", "began", "human_action", "human_reset", "alarmed", "dangerous")
 """Columns of a packed decision behind those of the frame, in this order; each 0 or 1."""
 
+_MOST_SLICES = 8
+"""More rows than this, as an accelerator's tile has, are gathered: each slice is compiled anew."""
+
 _SOME_HYPER = typed(RunHyper())
 """Hyperparameters of the types that every run's have."""
 
@@ -360,12 +363,16 @@ def _learn_all(
 
 
 def _take(chosen: chex.Array, leaf: chex.Array) -> chex.Array:
-    """Rows of a leaf as slices: on a CPU a gather of rows is many times slower."""
+    """Rows of a leaf: few as slices, since on a CPU a gather of rows is many times slower."""
+    if len(chosen) > _MOST_SLICES:
+        return leaf[chosen]
     return jnp.stack([leaf[index] for index in chosen])
 
 
 def _give(chosen: chex.Array, leaf: chex.Array, rows: chex.Array) -> chex.Array:
-    """The leaf with some rows replaced, as slices, in place within a loop."""
+    """The leaf with some rows replaced: few as slices, in place within a loop."""
+    if len(chosen) > _MOST_SLICES:
+        return leaf.at[chosen].set(rows)
     for index, row in zip(chosen, rows, strict=True):
         leaf = jax.lax.dynamic_update_index_in_dim(leaf, row, index, 0)
     return leaf

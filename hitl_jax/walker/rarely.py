@@ -1,10 +1,13 @@
 """Work that only few of a batch need."""
 
+import functools
 from collections.abc import Callable
 from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
+
+from hitl_jax.walker.kernel import as_kernel, on_gpu
 
 Tree = TypeVar("Tree")
 Other = TypeVar("Other")
@@ -14,19 +17,30 @@ _SHARE = 16
 
 
 def rarely(
-    needed: jax.Array, work: Callable[[Tree, Other], Tree], state: Tree, context: Other
+    needed: jax.Array,
+    work: Callable[[Tree, Other], Tree],
+    state: Tree,
+    context: Other,
+    num_parts: int | None = None,
 ) -> Tree:
     """Does a piece of work for those of a batch that need it, some at a time.
+
+    A GPU does it in one kernel, from which the blocks return that nobody needs.
 
     Args:
         needed: for whom, bool [B].
         work: from a state and a context to the state after; their last axis is a batch of any size.
         state: last axis B.
         context: last axis B.
+        num_parts: as in `as_kernel`.
 
     Returns:
         The state, worked on where needed, last axis B.
     """
+    if on_gpu():
+        if num_parts is not None:
+            needed = jnp.broadcast_to(needed, (num_parts, *needed.shape))
+        return as_kernel(functools.partial(_where_needed, work), num_parts)(needed, state, context)
     batch = needed.shape[0]
     width = max(min(8, batch), batch // _SHARE)
     # Places past the end are of none: read as the last, never written.
@@ -47,3 +61,15 @@ def rarely(
 
     _, state = jax.lax.while_loop(lambda carry: carry[0] < count, some, (jnp.int32(0), state))
     return state
+
+
+def _where_needed(
+    work: Callable[[Tree, Other], Tree], needed: jax.Array, state: Tree, context: Other
+) -> Tree:
+    def worked() -> Tree:
+        done = work(state, context)
+        result: Tree = jax.tree.map(lambda new, old: jnp.where(needed, new, old), done, state)
+        return result
+
+    result: Tree = jax.lax.cond(needed.any(), worked, lambda: state)
+    return result

@@ -6,12 +6,14 @@ operation runs along it.
 """
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
 
 from hitl_jax.walker import grips, ground, hinges, impact, parts, touch
 from hitl_jax.walker.hinges import Impulses
+from hitl_jax.walker.kernel import as_kernel, on_gpu
 from hitl_jax.walker.plane import Pose, Speeds, Vec, dot, pose, tangent, where
 from hitl_jax.walker.rarely import rarely
 from hitl_jax.walker.touch import Contacts
@@ -93,7 +95,8 @@ def step(world: World, speed: jax.Array, torque: jax.Array, heights: jax.Array) 
     )
     ended = pose(place, angle)
     edges = ground.edges_of_parts(heights, legs_left(legs_of(ended)))
-    moved = rarely(impact.may_meet(legs_of(ended), edges), impact.land, moved, edges)
+    meets = impact.may_meet(legs_of(ended), edges)
+    moved = rarely(meets, impact.land, moved, edges, num_parts=len(_LEGS))
     fallen |= _hull_meets(ended, heights, impact.NEAR)
     return World(
         place=_after_head(place, moved.sweep.end_place),
@@ -176,7 +179,9 @@ def _velocities(
 
     few = grips.only_shins(grip, _FEW)
     few_normal, few_along = grips.of_shins((normal, along), _FEW)
-    quick = _rounds(_Motion(rows, impulses, few_normal, few_along), hinge, few, _SHINS)
+    quick = as_kernel(functools.partial(_rounds, bodies=_SHINS))(
+        _Motion(rows, impulses, few_normal, few_along), hinge, few
+    )
 
     def placed(all_of: jax.Array, few_of: jax.Array) -> jax.Array:
         return all_of.at[:_FEW, 1::2].set(few_of)
@@ -238,19 +243,21 @@ def _settle(
         angle = jnp.where(active, jnp.stack(all_turns), angle)
         return place, angle, active & ~(good & (least >= _SOUND).all(0))
 
-    def rest(carry: tuple, context: tuple) -> tuple:
+    def rest(made: int, carry: tuple, context: tuple) -> tuple:
         def goes(counted: tuple) -> jax.Array:
             return counted[1][2].any() & (counted[0] < parts.POSITION_ROUNDS)
 
         def one(counted: tuple) -> tuple:
             return counted[0] + 1, round_(counted[1], *context)
 
-        result: tuple = jax.lax.while_loop(goes, one, (_ROUNDS_FOR_ALL, carry))[1]
+        result: tuple = jax.lax.while_loop(goes, one, (made, carry))[1]
         return result
 
-    carry = place, angle, jnp.ones(angle.shape[1:], bool)
-    carry = jax.lax.fori_loop(
-        0, _ROUNDS_FOR_ALL, lambda _, carry: round_(carry, side, manifold), carry
-    )
-    place, angle, _ = rarely(carry[2], rest, carry, (side, manifold))
+    carry, context = (place, angle, jnp.ones(angle.shape[1:], bool)), (side, manifold)
+    if on_gpu():
+        place, angle, _ = as_kernel(functools.partial(rest, 0))(carry, context)
+        return place, angle
+    carry = jax.lax.fori_loop(0, _ROUNDS_FOR_ALL, lambda _, carry: round_(carry, *context), carry)
+    later = functools.partial(rest, _ROUNDS_FOR_ALL)
+    place, angle, _ = rarely(carry[2], later, carry, context)
     return place, angle

@@ -1,0 +1,116 @@
+"""A function of a batch as one kernel of a GPU: a walker a thread, its numbers in registers.
+
+XLA makes a kernel of each handful of operations. The solver's loops are hundreds of rounds of a
+hundred small operations each: on a GPU they would spend their time on starting kernels and on
+memory. Here the function's jaxpr is written as the instructions of one thread (`thread`, `ptx`),
+which XLA takes as they are. On other devices the function stays as it is.
+"""
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hitl_jax.walker.ptx import Writer
+from hitl_jax.walker.thread import Thread, array_of, elements_of
+
+_NAME = "walker"
+_BLOCK = 32
+"""Threads of a block: few, so that a thousand walkers keep a large GPU's processors busy."""
+_PLACEHOLDER = 9973
+"""Stands for the batch while a function is traced; no other axis is as long."""
+
+
+def on_gpu() -> bool:
+    """Whether programs are made for a GPU, as JAX's default device says."""
+    return jax.default_backend() == "gpu"
+
+
+def as_kernel(function: Callable[..., Any], num_parts: int | None = None) -> Callable[..., Any]:
+    """The function as one kernel where JAX runs on a GPU, else itself.
+
+    Whether anybody needs another round is asked of each thread by itself: a loop must do nothing to
+    those that need none.
+
+    Args:
+        function: of pytrees whose leaves' last axis is the batch, or 1, to such; what it does not
+            get as an argument must be constant.
+        num_parts: where the axis before the batch's has this length in all leaves, and its places
+            do not feel each other, each of them gets a thread of its own.
+
+    Returns:
+        A function of the same arguments.
+    """
+    return functools.partial(call, function, num_parts) if on_gpu() else function
+
+
+def call(function: Callable[..., Any], num_parts: int | None, *args: Any) -> Any:
+    """Calls a function as a kernel; see `as_kernel`. Traced anywhere, it runs on NVIDIA's GPUs."""
+    leaves, structure = jax.tree.flatten(args)
+    batch = max(leaf.shape[-1] for leaf in leaves)
+    leaves = [jnp.broadcast_to(leaf, (*leaf.shape[:-1], batch)) for leaf in leaves]
+    threads = batch * (num_parts or 1)
+    shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
+    text, told = written(function, num_parts, jax.tree.unflatten(structure, shapes))
+    told_leaves, told_structure = jax.tree.flatten(told)
+    sizes = dict(grid_x=math.ceil(threads / _BLOCK), grid_y=1, grid_z=1)
+    sizes |= dict(block_x=_BLOCK, block_y=1, block_z=1, shared_mem_bytes=0)
+    results = jax.ffi.ffi_call("__gpu$xla.gpu.ptx", told_leaves)(
+        *leaves,
+        name=_NAME,
+        kernel_type="ptx",
+        kernel_data=text,
+        **{name: np.int32(size) for name, size in sizes.items()},
+        output_indices=tuple(np.int32(len(leaves) + index) for index in range(len(told_leaves))),
+    )
+    return jax.tree.unflatten(told_structure, results)
+
+
+def written(function: Callable[..., Any], num_parts: int | None, args: Any) -> tuple[str, Any]:
+    """The kernel's text, and the shapes of what it tells.
+
+    Args:
+        function: see `as_kernel`.
+        num_parts: likewise.
+        args: a tuple of pytrees of shapes, which all end with one batch.
+    """
+    lead = () if num_parts is None else (num_parts,)
+    lanes = (*lead, _PLACEHOLDER)
+    leaves, structure = jax.tree.flatten(args)
+    batch = leaves[0].shape[-1]
+    if wrong := [leaf.shape for leaf in leaves if leaf.shape[-len(lanes) :] != (*lead, batch)]:
+        raise ValueError(f"an argument of shape {wrong[0]}: must end with {(*lead, batch)}")
+    traced = [jax.ShapeDtypeStruct((*leaf.shape[:-1], _PLACEHOLDER), leaf.dtype) for leaf in leaves]
+    closed, told = jax.make_jaxpr(function, return_shape=True)(
+        *jax.tree.unflatten(structure, traced)
+    )
+    told = jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct((*leaf.shape[:-1], batch), leaf.dtype), told
+    )
+    results = jax.tree.leaves(told)
+
+    writer = Writer()
+    threads = batch * math.prod(lead)
+    number = writer.begin(threads)
+    part = None if num_parts is None else writer.operate("div", number, np.int32(batch))
+    thread = Thread(writer, lanes, part)
+    addresses = [
+        writer.address(index, number, leaf.dtype) for index, leaf in enumerate([*leaves, *results])
+    ]
+    given = []
+    for address, leaf in zip(addresses, leaves, strict=False):
+        outer = leaf.shape[: -len(lanes)]
+        rows = range(math.prod(outer))
+        given.append(
+            array_of([writer.load(address, row * threads, leaf.dtype) for row in rows], outer)
+        )
+    for address, value in zip(
+        addresses[len(leaves) :], thread.run_closed(closed, given), strict=True
+    ):
+        for row, element in enumerate(elements_of(value)):
+            writer.store(address, row * threads, element)
+    return writer.text(_NAME, len(addresses)), told
