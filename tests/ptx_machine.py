@@ -1,4 +1,4 @@
-"""A slow machine for the kernels' text: one thread at a time, each instruction in NumPy's float32."""
+"""A slow machine for the kernels' text: one thread at a time, each instruction by NumPy."""
 
 import operator
 import re

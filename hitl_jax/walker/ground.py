@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax.walker import parts
+from hitl_jax.walker.flat import of_one
+from hitl_jax.walker.kernel import as_kernel
 from hitl_jax.walker.plane import Vec, dot, tangent
 from hitl_jax.walker.touch import SLOTS, Edges
 
@@ -113,13 +115,21 @@ def grass(key: jax.Array) -> jax.Array:
         Heights [TERRAIN_LENGTH] [m].
     """
     official = parts.official
-    start = official.TERRAIN_HEIGHT
     push_key, stretch_key = jax.random.split(key)
     pushes = jax.random.uniform(
         push_key, (parts.TERRAIN_LENGTH,), minval=-1.0, maxval=1.0
     ) / np.float32(official.SCALE)
     shortest, longest = official.TERRAIN_GRASS // 2, official.TERRAIN_GRASS
     stretches = jax.random.randint(stretch_key, (parts.TERRAIN_LENGTH,), shortest, longest)
+
+    heights: jax.Array = _profile_of_one(pushes, stretches)
+    return heights
+
+
+def _profile(pushes: jax.Array, stretches: jax.Array) -> jax.Array:
+    """Heights of the corners; arrays are [TERRAIN_LENGTH, B]."""
+    official = parts.official
+    start = official.TERRAIN_HEIGHT
 
     def corner(carry: tuple, drawn: tuple) -> tuple:
         height, velocity, left, begins = carry
@@ -132,8 +142,12 @@ def grass(key: jax.Array) -> jax.Array:
         left = jnp.where(begins, stretch, left - 1)
         return (height, velocity, left, begins), height
 
-    begins = jnp.zeros((), bool)
-    carry = jnp.float32(start), jnp.float32(0.0), jnp.int32(official.TERRAIN_STARTPAD), begins
+    zero = jnp.zeros_like(pushes[0])
+    left = jnp.full_like(stretches[0], official.TERRAIN_STARTPAD)
+    carry = zero + jnp.float32(start), zero, left, jnp.zeros_like(zero, bool)
     drawn = jnp.arange(parts.TERRAIN_LENGTH), pushes, stretches
     heights: jax.Array = jax.lax.scan(corner, carry, drawn)[1]
     return heights
+
+
+_profile_of_one = of_one(lambda *drawn: as_kernel(_profile)(*drawn))

@@ -57,8 +57,8 @@ def call(function: Callable[..., Any], num_parts: int | None, *args: Any) -> Any
     shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
     text, told = written(function, num_parts, jax.tree.unflatten(structure, shapes))
     told_leaves, told_structure = jax.tree.flatten(told)
-    sizes = dict(grid_x=math.ceil(threads / _BLOCK), grid_y=1, grid_z=1)
-    sizes |= dict(block_x=_BLOCK, block_y=1, block_z=1, shared_mem_bytes=0)
+    sizes = {"grid_x": math.ceil(threads / _BLOCK), "grid_y": 1, "grid_z": 1}
+    sizes |= {"block_x": _BLOCK, "block_y": 1, "block_z": 1, "shared_mem_bytes": 0}
     results = jax.ffi.ffi_call("__gpu$xla.gpu.ptx", told_leaves)(
         *leaves,
         name=_NAME,

@@ -14,6 +14,7 @@ import numpy as np
 _HEAD = ".version 7.0\n.target sm_80\n.address_size 64\n"
 _LETTERS = {"f32": "f", "s32": "r", "pred": "p", "u64": "d"}
 _KINDS = {np.dtype(np.float32): "f32", np.dtype(np.int32): "s32", np.dtype(bool): "pred"}
+_NUMBERS: dict[str, type[np.number]] = {"f32": np.float32, "s32": np.int32}
 _SIZES = {"f32": 4, "s32": 4, "pred": 1}
 
 _FLOAT = {
@@ -210,10 +211,10 @@ class Writer:
         if own == kind:
             return element
         if own == "pred":
-            one, zero = (np.float32, np.int32)[kind == "s32"]([1, 0])
-            return self.choose(element, one, zero)
+            number = _NUMBERS[kind]
+            return self.choose(element, number(1), number(0))
         if kind == "pred":
-            return self.operate("ne", element, (np.float32, np.int32)[own == "s32"](0))
+            return self.operate("ne", element, _NUMBERS[own](0))
         return self.apply(_CONVERSIONS[own, kind], kind, element)
 
     # Ways through the text.

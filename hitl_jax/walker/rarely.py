@@ -40,7 +40,7 @@ def rarely(
     if on_gpu():
         if num_parts is not None:
             needed = jnp.broadcast_to(needed, (num_parts, *needed.shape))
-        return as_kernel(functools.partial(_where_needed, work), num_parts)(needed, state, context)
+        return as_kernel(functools.partial(where_needed, work), num_parts)(needed, state, context)
     batch = needed.shape[0]
     width = max(min(8, batch), batch // _SHARE)
     # Places past the end are of none: read as the last, never written.
@@ -63,9 +63,11 @@ def rarely(
     return state
 
 
-def _where_needed(
+def where_needed(
     work: Callable[[Tree, Other], Tree], needed: jax.Array, state: Tree, context: Other
 ) -> Tree:
+    """The work, if anybody needs it, for those who do; see `rarely`."""
+
     def worked() -> Tree:
         done = work(state, context)
         result: Tree = jax.tree.map(lambda new, old: jnp.where(needed, new, old), done, state)

@@ -1,8 +1,8 @@
 """A jaxpr, written as the instructions of one thread.
 
-The jaxpr is that of a function of a batch. Each array [..., B] is taken apart: a thread has one number
-of it for each place of its leading axes, in a register. So nothing is left of slices, stacks and
-broadcasts, loops go round as often as this thread needs, and what is constant stands in the text.
+The jaxpr is that of a function of a batch. Each array [..., B] is taken apart: a thread has one
+number of it for each place of its leading axes, in a register. So nothing is left of slices, stacks
+and broadcasts, loops go round as often as this thread needs, and constants stand in the text.
 """
 
 import functools
@@ -16,7 +16,7 @@ import jax.extend.core as jex
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax.walker.ptx import Element, Register, Writer, kind_of
+from hitl_jax.walker.ptx import Element, Writer, kind_of
 
 
 class Thread:
@@ -26,7 +26,7 @@ class Thread:
     lanes' has its leading axes, that of another all its axes.
     """
 
-    def __init__(self, writer: Writer, lanes: tuple[int, ...], part: Register | None):
+    def __init__(self, writer: Writer, lanes: tuple[int, ...], part: Element | None):
         """Begins.
 
         Args:
@@ -57,7 +57,7 @@ class Thread:
 
         def read(atom: Any) -> np.ndarray:
             if isinstance(atom, jex.Literal):
-                return self.constant(np.asarray(atom.val, atom.aval.dtype))
+                return self.constant(np.asarray(atom.val, atom.aval.dtype))  # type: ignore[attr-defined]
             return values[atom]
 
         values.update(zip(jaxpr.constvars, consts, strict=True))
@@ -118,7 +118,9 @@ class Thread:
                 value = value.reshape((1,) * (len(shape) - value.ndim) + value.shape)
                 value = self._gathered(value)
             stretched.append(np.broadcast_to(value, outer))
-        return array_of([function(*row) for row in zip(*map(elements_of, stretched))], outer)
+        return array_of(
+            [function(*row) for row in zip(*map(elements_of, stretched), strict=True)], outer
+        )
 
     def _inline(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         closed = eqn.params["jaxpr"] if "jaxpr" in eqn.params else eqn.params["call_jaxpr"]
@@ -159,8 +161,7 @@ class Thread:
         (out,) = eqn.outvars
         before, after = eqn.invars[0].aval.shape, out.aval.shape
         if self.has_lanes(before) != self.has_lanes(after):
-            if math.prod(before) != math.prod(after) or math.prod(before) != 1:
-                raise NotImplementedError(f"{eqn.primitive} of {before} to {after}")
+            raise NotImplementedError(f"{eqn.primitive} of {before} to {after} in a kernel")
         return [given[0].reshape(self.outer(after))]
 
     _reshape = _squeeze = _expand_dims = _reshaped
@@ -251,7 +252,7 @@ class Thread:
         closed = eqn.params["jaxpr"]
         inside = [atom.aval.shape for atom in closed.jaxpr.invars]
         if inside != [atom.aval.shape for atom in eqn.invars]:
-            raise NotImplementedError("a scan over arrays in a kernel")
+            return self._unrolled(eqn, given, inside)
         num_consts = len(given) - len(eqn.outvars)
         count = self._copied([array_of([np.int32(0)], ())])[0]
         carry = self._copied(given[num_consts:])
@@ -263,6 +264,29 @@ class Thread:
             following = self._writer.operate("add", made, np.int32(1))
             self._writer.move_all([made, *_flat(carry)], [following, *_flat(after)])
         return carry
+
+    def _unrolled(
+        self, eqn: Any, given: list[np.ndarray], inside: list[tuple[int, ...]]
+    ) -> list[np.ndarray]:
+        """A scan over arrays, one step after the other."""
+        closed = eqn.params["jaxpr"]
+        scanned = [atom.aval.shape != shape for atom, shape in zip(eqn.invars, inside, strict=True)]
+        results = [atom.aval.shape for atom in closed.jaxpr.outvars]
+        num_carry = sum(
+            atom.aval.shape == shape for atom, shape in zip(eqn.outvars, results, strict=True)
+        )
+        first = scanned.index(True)
+        given, told = list(given), []
+        for place in range(eqn.params["length"]):
+            rows = [
+                array_of(elements_of(value[place : place + 1]), value.shape[1:]) if over else value
+                for value, over in zip(given, scanned, strict=True)
+            ]
+            after = self.run_closed(closed, rows)
+            given[first - num_carry : first] = after[:num_carry]
+            told.append(after[num_carry:])
+        stacked = [np.stack(column) for column in zip(*told, strict=True)]
+        return [*given[first - num_carry : first], *stacked]
 
     def _cond(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         which, *operands = given
@@ -285,6 +309,7 @@ class Thread:
         ]
 
     def run_closed(self, closed: Any, args: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """The values of a closed jaxpr's results."""
         consts = [self.constant(np.asarray(const)) for const in closed.consts]
         return self.run(closed.jaxpr, consts, args)
 
@@ -337,6 +362,7 @@ def array_of(elements: Sequence[Any], shape: Sequence[int]) -> np.ndarray:
 
 
 def elements_of(value: np.ndarray) -> list[Any]:
+    """An array's objects, in order."""
     flat = value.reshape(-1)
     return [flat[place] for place in range(len(flat))]
 

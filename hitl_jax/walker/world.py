@@ -177,32 +177,51 @@ def _velocities(
     impulses = [jax.tree.map(lambda leaf, i=i: leaf[i], begun) for i in range(len(parts.HINGES))]
     start = _Motion(rows, impulses, normal, along)
 
-    few = grips.only_shins(grip, _FEW)
-    few_normal, few_along = grips.of_shins((normal, along), _FEW)
-    quick = as_kernel(functools.partial(_rounds, bodies=_SHINS))(
-        _Motion(rows, impulses, few_normal, few_along), hinge, few
-    )
-
-    def placed(all_of: jax.Array, few_of: jax.Array) -> jax.Array:
-        return all_of.at[:_FEW, 1::2].set(few_of)
-
-    motion = _Motion(
-        quick.rows,
-        quick.hinge,
-        jax.tree.map(placed, normal, quick.normal),
-        jax.tree.map(placed, along, quick.along),
-    )
     touching = contacts.touching
     many = touching[_FEW:].any((0, 1)) | touching[:, ::2].any((0, 1))
-    motion, _ = rarely(
-        many,
-        lambda state, context: (_rounds(state[1], *context, _LEGS), state[1]),
-        (motion, start),
-        (hinge, grip),
-    )
+    if on_gpu():
+        motion = as_kernel(_either_rounds)(many, start, hinge, grip)
+    else:
+        motion, _ = rarely(
+            many,
+            lambda state, context: (_rounds(state[1], *context, _LEGS), state[1]),
+            (_few_rounds(start, hinge, grip), start),
+            (hinge, grip),
+        )
     row = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motion.rows)
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motion.hinge)
     return row.velocity, row.spin, stacked, (motion.normal, motion.along)
+
+
+def _few_rounds(start: _Motion, hinge: hinges.Hinges, grip: grips.Grips) -> _Motion:
+    """All velocity rounds, with the contacts that most walkers have and no others."""
+    normal, along = grips.of_shins((start.normal, start.along), _FEW)
+    begun = _Motion(start.rows, start.hinge, normal, along)
+    after = _rounds(begun, hinge, grips.only_shins(grip, _FEW), _SHINS)
+
+    def placed(all_of: jax.Array, few_of: jax.Array) -> jax.Array:
+        thighs = all_of[:_FEW, ::2]
+        first = jnp.stack([thighs, few_of], axis=2).reshape(_FEW, *all_of.shape[1:])
+        return jnp.concatenate([first, all_of[_FEW:]])
+
+    return _Motion(
+        after.rows,
+        after.hinge,
+        jax.tree.map(placed, start.normal, after.normal),
+        jax.tree.map(placed, start.along, after.along),
+    )
+
+
+def _either_rounds(
+    many: jax.Array, start: _Motion, hinge: hinges.Hinges, grip: grips.Grips
+) -> _Motion:
+    """All velocity rounds; in a kernel, where `many` is asked of each walker by itself."""
+    result: _Motion = jax.lax.cond(
+        many.any(),
+        lambda: _rounds(start, hinge, grip, _LEGS),
+        lambda: _few_rounds(start, hinge, grip),
+    )
+    return result
 
 
 def _rounds(
@@ -231,33 +250,39 @@ def _settle(
     place: Vec, angle: jax.Array, side: jax.Array, manifold: touch.Manifold
 ) -> tuple[Vec, jax.Array]:
     """Places and angles after the position rounds, of which most walkers need one or two."""
-
-    def round_(carry: tuple, side: jax.Array, manifold: touch.Manifold) -> tuple:
-        place, angle, active = carry
-        legs, turns, least = grips.position_round(_tail(place), angle[1:], manifold, _FIRMNESS)
-        places = [Vec(place.x[0], place.y[0])]
-        places += [Vec(legs.x[i], legs.y[i]) for i in range(4)]
-        places, all_turns, good = hinges.position_round(places, [angle[0], *turns], side)
-        new_place = jax.tree.map(lambda *leaves: jnp.stack(leaves), *places)
-        place = where(active, new_place, place)
-        angle = jnp.where(active, jnp.stack(all_turns), angle)
-        return place, angle, active & ~(good & (least >= _SOUND).all(0))
-
-    def rest(made: int, carry: tuple, context: tuple) -> tuple:
-        def goes(counted: tuple) -> jax.Array:
-            return counted[1][2].any() & (counted[0] < parts.POSITION_ROUNDS)
-
-        def one(counted: tuple) -> tuple:
-            return counted[0] + 1, round_(counted[1], *context)
-
-        result: tuple = jax.lax.while_loop(goes, one, (made, carry))[1]
-        return result
-
     carry, context = (place, angle, jnp.ones(angle.shape[1:], bool)), (side, manifold)
     if on_gpu():
-        place, angle, _ = as_kernel(functools.partial(rest, 0))(carry, context)
+        place, angle, _ = as_kernel(functools.partial(_position_rounds, 0))(carry, context)
         return place, angle
-    carry = jax.lax.fori_loop(0, _ROUNDS_FOR_ALL, lambda _, carry: round_(carry, *context), carry)
-    later = functools.partial(rest, _ROUNDS_FOR_ALL)
+    carry = jax.lax.fori_loop(
+        0, _ROUNDS_FOR_ALL, lambda _, carry: _position_round(carry, *context), carry
+    )
+    later = functools.partial(_position_rounds, _ROUNDS_FOR_ALL)
     place, angle, _ = rarely(carry[2], later, carry, context)
     return place, angle
+
+
+def _position_rounds(made: int, carry: tuple, context: tuple) -> tuple:
+    """As many rounds, after those that were made, as are needed and allowed."""
+
+    def goes(counted: tuple) -> jax.Array:
+        return counted[1][2].any() & (counted[0] < parts.POSITION_ROUNDS)
+
+    def one(counted: tuple) -> tuple:
+        return counted[0] + 1, _position_round(counted[1], *context)
+
+    result: tuple = jax.lax.while_loop(goes, one, (made, carry))[1]
+    return result
+
+
+def _position_round(carry: tuple, side: jax.Array, manifold: touch.Manifold) -> tuple:
+    """Places, angles, and who needs another round; from those before it."""
+    place, angle, active = carry
+    legs, turns, least = grips.position_round(_tail(place), angle[1:], manifold, _FIRMNESS)
+    places = [Vec(place.x[0], place.y[0])]
+    places += [Vec(legs.x[i], legs.y[i]) for i in range(4)]
+    places, all_turns, good = hinges.position_round(places, [angle[0], *turns], side)
+    new_place = jax.tree.map(lambda *leaves: jnp.stack(leaves), *places)
+    place = where(active, new_place, place)
+    angle = jnp.where(active, jnp.stack(all_turns), angle)
+    return place, angle, active & ~(good & (least >= _SOUND).all(0))

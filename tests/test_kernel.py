@@ -1,0 +1,124 @@
+"""The solver's loops as a GPU's kernels, on a slow machine of the tests' own."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import ptx_machine
+import pytest
+
+from hitl_jax import walker
+from hitl_jax.keys import make_key
+from hitl_jax.walker import grips, ground, hinges, impact, kernel, parts, touch, world
+from hitl_jax.walker.plane import Speeds, Vec, pose
+from hitl_jax.walker.rarely import where_needed
+from hitl_jax.walker.thread import cosine, sine
+
+_WALKERS = 3
+
+
+@pytest.fixture(scope="module")
+def now():
+    """Walkers that have stumbled for a while, their ground, and what a step is made of."""
+    walkers = jax.vmap(lambda seed: walker.made(make_key(seed)))(jnp.arange(16))
+    step = jax.jit(jax.vmap(walker.step))
+    for tick in range(45):
+        action = jax.random.uniform(make_key(tick), (16, 4), minval=-1.0, maxval=1.0)
+        walkers, _ = step(walkers, action)
+    few = jax.tree.map(lambda leaf: jnp.moveaxis(leaf[-_WALKERS:], 0, -1), walkers)
+    legs = world.legs_of(pose(few.world.place, few.world.angle))
+    edges = ground.edges_of_parts(few.heights, world.legs_left(legs))
+    manifold = touch.forward(touch.touch(legs, edges))
+    contacts = touch.remember(few.world.contacts, manifold)
+    speed = jnp.asarray(parts.SPEEDS[:, None], jnp.float32) * jnp.ones((4, _WALKERS))
+    bodies = pose(few.world.place, few.world.angle)
+    hinge = hinges.prepare(bodies, few.world.angle, speed, parts.TORQUE * jnp.ones_like(speed))
+    return few.world, edges, manifold, contacts, hinge, grips.prepare(manifold, legs)
+
+
+def _agree(function, args, num_parts=None, tolerance=2e-5):
+    """The text does what the function does."""
+    args = jax.tree.map(
+        lambda leaf: np.broadcast_to(leaf, (*np.shape(leaf)[:-1], _WALKERS)).copy(), args
+    )
+    expected = jax.jit(function)(*args)
+    text, told = kernel.written(function, num_parts, args)
+    results = [np.zeros(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(told)]
+    threads = _WALKERS * (num_parts or 1)
+    ptx_machine.run(text, threads, [*jax.tree.leaves(args), *results])
+    for got, leaf in zip(results, jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(got, leaf, atol=tolerance, rtol=tolerance)
+
+
+def _motion(before, contacts, grip):
+    normal, along = grips.begin(grip, contacts)
+    impulses = [jax.tree.map(lambda leaf, i=i: leaf[i], before.impulses) for i in range(4)]
+    return world._Motion(world._rows(before.velocity, before.spin), impulses, normal, along)
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_velocity_rounds(now, many):
+    before, _, _, contacts, hinge, grip = now
+    flags = jnp.full(_WALKERS, many)
+    args = (flags, _motion(before, contacts, grip), hinge, grip)
+    _agree(world._either_rounds, args)
+
+
+def test_position_rounds(now):
+    before, _, manifold, _, hinge, _ = now
+    carry = before.place, before.angle, jnp.ones(_WALKERS, bool)
+    rounds = functools.partial(world._position_rounds, 0)
+    _agree(rounds, (carry, (hinge.side, manifold)))
+
+
+def test_impacts_have_a_thread_for_each_part(now):
+    before, edges, _, contacts, _, _ = now
+    start = Vec(before.place.x[1:], before.place.y[1:])
+    end = Vec(start.x + 0.02, start.y - 0.1)
+    moved = impact.Moved(
+        sweep=impact.Sweep(start, before.angle[1:], end, before.angle[1:] + 0.1),
+        done=jnp.zeros((4, _WALKERS)),
+        speeds=Speeds(Vec(jnp.ones((4, _WALKERS)), -5 * jnp.ones((4, _WALKERS))), before.spin[1:]),
+        contacts=contacts,
+        feet=before.feet,
+    )
+    assert (jax.jit(impact.land)(moved, edges).done > 0).any()
+    needed = jnp.arange(4 * _WALKERS).reshape(4, _WALKERS) % 2 == 0
+    work = functools.partial(where_needed, impact.land)
+    _agree(work, (needed, moved, edges), num_parts=4)
+
+
+def test_terrain(now):
+    pushes = np.linspace(-0.03, 0.03, 200 * _WALKERS, dtype=np.float32).reshape(200, _WALKERS)
+    stretches = np.arange(200 * _WALKERS, dtype=np.int32).reshape(200, _WALKERS) % 5 + 5
+    _agree(ground._profile, (pushes, stretches))
+
+
+def test_sine_and_cosine_are_as_good_as_float32():
+    angle = np.linspace(-50, 50, 200_001, dtype=np.float32)
+    exact = angle.astype(np.float64)
+    np.testing.assert_allclose(jax.jit(sine)(angle), np.sin(exact), atol=2e-7)
+    np.testing.assert_allclose(jax.jit(cosine)(angle), np.cos(exact), atol=2e-7)
+
+
+def test_threads_beyond_the_batch_do_nothing():
+    text, _ = kernel.written(lambda a: a + 1, None, (np.zeros(3, np.float32),))
+    given, told = np.zeros(3, np.float32), np.zeros(5, np.float32)
+    ptx_machine.run(text, 5, [given, told])
+    assert told.tolist() == [1, 1, 1, 0, 0]
+
+
+def test_what_threads_would_have_to_tell_each_other_is_refused():
+    with pytest.raises(NotImplementedError, match="over threads"):
+        kernel.written(lambda a: a + a.sum(), None, (np.zeros(3, np.float32),))
+
+
+def test_leaves_of_other_batches_are_named():
+    args = (np.zeros((2, 3), np.float32), np.zeros(4, np.float32))
+    with pytest.raises(ValueError, match=r"shape \(4,\): must end with \(3,\)"):
+        kernel.written(lambda a, b: (a, b), None, args)
+
+
+def test_on_a_cpu_a_function_stays_itself():
+    assert kernel.as_kernel(jnp.sin) is jnp.sin
