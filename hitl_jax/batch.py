@@ -174,7 +174,7 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         )
 
     # Hyperparameters go in and do not come out.
-    act_all = jax.jit(jax.vmap(functools.partial(_act_packed, agent)), donate_argnums=0)
+    act_all = jax.jit(jax.vmap(functools.partial(act_packed, agent)), donate_argnums=0)
     learn_all = jax.jit(functools.partial(_learn_all, agent, num_updates, tile), donate_argnums=0)
 
     def act(
@@ -221,7 +221,7 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         learn=learn,
         pack_behavior=jax.jit(_pack_behavior),
         seat_behavior=jax.jit(seat_behavior, donate_argnums=0),
-        unpack_behavior=jax.jit(functools.partial(_unpack_behavior, agent)),
+        unpack_behavior=jax.jit(functools.partial(unpack_behavior, agent)),
         boundaries=jax.jit(boundaries),
         pack_train=jax.jit(jax.vmap(pack)),
         restore=jax.jit(restore, donate_argnums=0),
@@ -262,7 +262,7 @@ def act_or_begin(
     return state, jnp.concatenate([observation, decision.action, tail])
 
 
-def flags_of(decided: np.ndarray, layout: replay.Layout) -> dict[str, np.ndarray]:
+def flags_of(decided: chex.Array, layout: replay.Layout) -> dict[str, chex.Array]:
     """The flags of `EXTRA_COLUMNS` by name, bool [R], from what acting gave, [R, W + 6]."""
     return dict(zip(EXTRA_COLUMNS, decided[:, layout.width :].T > 0.5, strict=True))
 
@@ -283,7 +283,7 @@ def recorded_steps(
     return np.column_stack([decided[:, layout.action], *columns]).astype(np.float32)
 
 
-def _act_packed(
+def act_packed(
     agent: Agent,
     state: chex.Array,
     hyper: chex.Array,
@@ -291,7 +291,7 @@ def _act_packed(
     observation: chex.Array,
     live: chex.Array,
 ) -> tuple[chex.Array, chex.Array]:
-    """`act_or_begin` with acting state and hyperparameters packed."""
+    """`act_or_begin` of one run with acting state, [S], and hyperparameters, [H], packed."""
     before, settings = unpack(_some_acting(agent), state), unpack(_SOME_HYPER, hyper)
     after, decided = act_or_begin(agent, settings, params, before, observation, live)
     return pack(after), decided
@@ -312,7 +312,8 @@ def _pack_behavior(train: TrainState) -> chex.Array:
     return jnp.concatenate([leaf.reshape(leaf.shape[0], -1) for leaf in leaves], axis=1)
 
 
-def _unpack_behavior(agent: Agent, packed: Sequence[chex.Array]) -> Behavior:
+def unpack_behavior(agent: Agent, packed: Sequence[chex.Array]) -> Behavior:
+    """What acting needs of runs, leaves [R, ...], from arrays of some of them, [.., P]."""
     rows = jnp.concatenate(packed)
     like = agents.behavior(jax.eval_shape(lambda: agents.init(agent, make_key(0))))
     leaves, structure = jax.tree.flatten(like)

@@ -36,10 +36,10 @@ def walker_devices(count: int) -> tuple[jax.Device, ...]:
         count: how many are wanted, if they are CPU devices.
 
     Returns:
-        JAX's first accelerator where it has any, else as many CPU devices.
+        JAX's accelerators where it has any, else as many CPU devices.
     """
     if jax.default_backend() != "cpu":
-        return tuple(jax.local_devices()[:1])
+        return tuple(jax.local_devices())
     return tuple(cpu_device(f"walkers {number}") for number in range(count))
 
 

@@ -15,15 +15,14 @@ import operator
 from collections import deque
 from collections.abc import Iterator, Sequence
 
-import chex
 import jax
 import numpy as np
 
 from hitl_jax import arbiter, batch, recording
 from hitl_jax.agent import Agent, behavior
 from hitl_jax.config import require, typed
-from hitl_jax.devices import acting_device, default_tile, learning_devices
-from hitl_jax.envs import Command, StepBatch, WalkerPool
+from hitl_jax.devices import default_tile, learning_devices
+from hitl_jax.envs import StepBatch, WalkerPool
 from hitl_jax.episode_log import EpisodeLog
 from hitl_jax.episodes import EpisodeCounter, Row, Step
 from hitl_jax.recording import STEP_COLUMNS, Recording, names_of
@@ -39,6 +38,7 @@ from hitl_jax.runs import (
     method_index,
 )
 from hitl_jax.saved import SavedRun, between_episodes, bring_back, facts_of, require_shapes
+from hitl_jax.stages import Slots, finite_rows, make_stage
 from hitl_jax.types import Behavior, Params
 
 LAG = 2
@@ -83,11 +83,10 @@ class Rollout:
         self._programs = batch.make_programs(
             agent, self._num_updates, default_tile(slots) if tile is None else tile
         )
-        self._acting_device = acting_device()
+        self._stage = make_stage(agent, pool, self._programs)
         self._seats = [
             batch.empty_seats(agent, self._share, config.frames, device) for device in self._devices
         ]
-        self._acting = batch.empty_acting(agent, slots, self._acting_device)
         self._learned = deque(
             [self._programs.pack_behavior(seats.train) for seats in self._seats]
             for _ in range(LAG + 1)
@@ -104,12 +103,16 @@ class Rollout:
         self._queue = deque(sorted(specs, key=lambda spec: spec.key not in self._saved))
         self._runs: list[Run | None] = [None] * slots
         self._counter = EpisodeCounter(slots)
-        self._active = np.zeros(slots, bool)
-        self._needs_reset = np.zeros(slots, bool)
-        self._seeds = np.zeros(slots, np.uint32)
+        self._slots = Slots(
+            active=np.zeros(slots, bool),
+            needs_reset=np.zeros(slots, bool),
+            # No chunk can begin more episodes: one of a step and a reset takes two ticks.
+            seeds=np.zeros((slots, config.chunk // 2 + 1), np.uint32),
+            left=np.zeros(slots, np.int32),
+            observation=np.zeros((slots, pool.observation_size), np.float32),
+        )
         self._feedback = np.zeros(slots)
         self._has_arbiter = np.zeros(slots, bool)
-        self._observation = np.zeros((slots, pool.observation_size), np.float32)
         self._take = jax.jit(
             lambda tree, column: jax.tree.map(
                 lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, column, 1), tree
@@ -127,8 +130,8 @@ class Rollout:
                 yield [self.collect(run) for run in ended]
                 self._replace(ended)
                 continue
-            self._behavior = self._to_acting(self._learned.popleft())  # Waits for the learner.
-            self._stop_diverged("parameters", _finite_rows(*jax.tree.leaves(self._behavior)))
+            finite = self._stage.prepare(self._learned.popleft())  # Waits for the learner.
+            self._stop_diverged("parameters", finite)
             frames = self._play()
             for run in self.runs():
                 self._keep_snapshots(run)
@@ -156,7 +159,7 @@ class Rollout:
         """
         words = [np.asarray(self._programs.pack_train(seats.train)) for seats in self._seats]
         learned = [[np.asarray(part) for part in waiting] for waiting in self._learned]
-        acting = np.asarray(self._acting.state)
+        acting = self._stage.words()
         recent = np.concatenate(self._recent, axis=1)
         saved = [run.without_new_frames() for run in self._saved.values()]
         for run in self.runs():
@@ -164,13 +167,13 @@ class Rollout:
             totals, alarms = self._counter.state_of(run.slot)
             saved.append(
                 SavedRun(
-                    facts=facts_of(run, begun=not self._needs_reset[run.slot]),
+                    facts=facts_of(run, begun=not self._slots.needs_reset[run.slot]),
                     train=words[device][column],
                     acting=acting[run.slot],
                     behavior=np.stack([waiting[device][column] for waiting in learned]),
                     snapshots=np.array([batch.flat(kept.behavior) for kept in run.snapshots]),
                     boundaries=np.array([kept.boundary for kept in run.snapshots]),
-                    observation=self._observation[run.slot].copy(),
+                    observation=self._slots.observation[run.slot].copy(),
                     steps=self._log.of(run.slot),
                     recordings=recording.join(run.recordings, self._step_width),
                     totals=totals,
@@ -208,9 +211,9 @@ class Rollout:
             saved = self._saved.pop(spec.key, None)
             if saved is not None:
                 self._take_up(slot, saved)
-                if self._active[slot] and not self._needs_reset[slot]:
+                if self._slots.live[slot]:
                     back[slot] = Recording(0, saved.steps).actions
-        bring_back(self._pool, self._seeds, back, self._observation)
+        bring_back(self._pool, self._slots.seeds[:, 0], back, self._slots.observation)
 
     def _seat(self, slot: int, spec: RunSpec) -> None:
         """Gives a slot to a run at its beginning."""
@@ -218,18 +221,17 @@ class Rollout:
         hyper = typed(spec.hyper)
         device, column = divmod(slot, self._share)
         self._seats[device] = self._programs.seat(self._seats[device], column, hyper, learning)
-        acting_key = jax.device_put(acting, self._acting_device)
-        self._acting = self._programs.seat_acting(self._acting, slot, hyper, acting_key)
+        self._stage.seat(slot, hyper, acting)
         fresh = self._programs.pack_behavior(self._take(self._seats[device].train, column))
         for waiting in self._learned:
             waiting[device] = self._programs.seat_behavior(waiting[device], column, fresh)
-        self._runs[slot] = Run(spec=spec, slot=slot)
+        self._runs[slot] = run = Run(spec=spec, slot=slot)
         self._counter.clear(slot)
         self._unsaved[slot] = 0
         self._log.begin(slot)
-        self._active[slot] = True
-        self._needs_reset[slot] = True
-        self._seeds[slot] = episode_seed(spec.method, spec.seed, 0)
+        self._slots.active[slot] = True
+        self._slots.needs_reset[slot] = True
+        self._look_ahead(run)
         self._feedback[slot] = spec.hyper.feedback
         self._has_arbiter[slot] = spec.hyper.has_arbiter > 0
 
@@ -248,7 +250,7 @@ class Rollout:
         ring[np.arange(cursor - len(frames), cursor) % len(ring)] = frames
         start = np.int32(cursor - len(frames))
         self._seats[device] = self._programs.restore(seats, column, saved.train, ring, start)
-        self._acting = self._programs.restore_acting(self._acting, slot, saved.acting)
+        self._stage.restore(slot, saved.acting)
         for waiting, row in zip(self._learned, saved.behavior, strict=True):
             waiting[device] = self._programs.seat_behavior(waiting[device], column, row[None])
         facts = saved.facts
@@ -265,10 +267,10 @@ class Rollout:
         self._log.begin(slot, saved.steps)
         run.recordings = recording.split(facts["recordings"], saved.recordings)
         run.done = len(run.episodes) >= run.spec.episodes or run.diverged is not None
-        self._active[slot] = not run.done
-        self._needs_reset[slot] = not facts["begun"]
-        self._seeds[slot] = episode_seed(run.spec.method, run.spec.seed, len(run.episodes))
-        self._observation[slot] = saved.observation
+        self._slots.active[slot] = not run.done
+        self._slots.needs_reset[slot] = not facts["begun"]
+        self._slots.observation[slot] = saved.observation
+        self._look_ahead(run)
 
     def _check_fit(self, saved: SavedRun) -> None:
         """Raises CannotReturn unless the arrays are as this agent's are."""
@@ -277,7 +279,7 @@ class Rollout:
         totals, alarms = self._counter.state_of(0)
         expected = {
             "train": (words,),
-            "acting": self._acting.state.shape[1:],
+            "acting": self._stage.words().shape[1:],
             "behavior": (LAG + 1, learned),
             "observation": (self._layout.observation_size,),
             "totals": totals.shape,
@@ -312,31 +314,26 @@ class Rollout:
         return jax.tree.map(lambda leaf: leaf[0], jax.device_get(self._take(tree, column)))
 
     def _boundary_of(self, run: Run) -> np.ndarray:
-        return np.asarray(self._programs.boundaries(self._acting))[run.slot]
+        return self._stage.boundaries()[run.slot]
 
     def _play(self) -> np.ndarray:
         """One chunk of ticks; the frames for the replay, [R, U, W]."""
         frames = np.zeros((len(self._runs), self._config.chunk, self._layout.width), np.float32)
-        for tick in range(self._config.chunk):
-            live = self._active & ~self._needs_reset
-            self._acting, packed = self._programs.act(
-                self._acting, self._behavior, self._observation, live
-            )
-            decided = np.asarray(packed)
+        slots = self._slots
+        for place, tick in enumerate(self._stage.ticks(slots, self._config.chunk)):
+            live, decided = slots.live, tick.decided
             if not np.isfinite(decided[live]).all():
                 for name in ("observation", "action", "boundary"):
                     part = decided[:, getattr(self._layout, name)]
-                    self._stop_diverged(name, _finite_rows(part) | ~live)
-                live &= self._active
-            command = np.where(live, Command.STEP, Command.IDLE).astype(np.uint8)
-            command[self._active & self._needs_reset] = Command.RESET
-            answer = self._pool.step(command, decided[:, self._layout.action], self._seeds)
+                    self._stop_diverged(name, finite_rows(part) | ~live)
+                live &= slots.active
+            answer = tick.answer(live)
             if not np.isfinite(answer.reward).all():
                 self._stop_diverged("reward", np.isfinite(answer.reward) | ~live)
-                live &= self._active
-            frames[:, tick] = decided[:, : self._layout.width]
-            self._record(live, decided, answer, frames[:, tick])
-            self._observation = answer.observation
+                live &= slots.active
+            frames[:, place] = decided[:, : self._layout.width]
+            self._record(live, decided, answer, frames[:, place])
+            slots.observation = answer.observation
         for run in self.runs():
             run.ticks += self._config.chunk
         self._unsaved += self._config.chunk
@@ -381,7 +378,7 @@ class Rollout:
             boundary=np.where(self._has_arbiter, decided[:, layout.boundary], np.nan),
         )
         self._log.add(live, batch.recorded_steps(decided, layout, self._has_arbiter))
-        self._needs_reset[:] = False
+        self._slots.needs_reset[:] = False
         for slot, row in self._counter.count(step):
             self._end_episode(slot, row)
 
@@ -392,22 +389,31 @@ class Rollout:
         run.episodes.append({"episode": len(run.episodes) + 1, "env_steps": run.env_steps, **row})
         for name in names_of(run.episodes, run.recordings):
             run.recordings[name] = Recording(len(run.episodes), self._log.of(slot))
-        self._needs_reset[slot] = True
+        self._slots.needs_reset[slot] = True
         self._log.begin(slot)
-        self._seeds[slot] = episode_seed(run.spec.method, run.spec.seed, len(run.episodes))
+        self._look_ahead(run)
         if len(run.episodes) == run.spec.episodes:
             run.done = True
-            self._active[slot] = False
+            self._slots.active[slot] = False
+
+    def _look_ahead(self, run: Run) -> None:
+        """Notes the episodes that a run has yet to play, and the seeds of the next ones."""
+        spec, slots, ended = run.spec, self._slots, len(run.episodes)
+        slots.left[run.slot] = spec.episodes - ended
+        slots.seeds[run.slot] = [
+            episode_seed(spec.method, spec.seed, ended + later)
+            for later in range(slots.seeds.shape[1])
+        ]
 
     def _stop_diverged(self, quantity: str, finite: np.ndarray) -> None:
         """Ends the runs that are active and of which something is not finite, bool [R]."""
-        for slot in np.flatnonzero(self._active & ~finite).tolist():
+        for slot in np.flatnonzero(self._slots.active & ~finite).tolist():
             run = self._runs[slot]
             assert run is not None
             steps = run.env_steps + self._counter.length_of(slot)
             run.diverged = Divergence(quantity, steps, len(run.episodes))
             run.done = True
-            self._active[slot] = False
+            self._slots.active[slot] = False
 
     def _learn(self, frames: np.ndarray) -> None:
         """Starts the learner on a chunk; does not wait for it."""
@@ -429,16 +435,6 @@ class Rollout:
             )
             learned.append(after)
         self._learned.append(learned)
-
-    def _to_acting(self, packed: list[jax.Array]) -> Behavior:
-        """What acting needs, of all runs, on its device."""
-        return self._programs.unpack_behavior(jax.device_put(packed, self._acting_device))
-
-
-def _finite_rows(*arrays: chex.Array) -> np.ndarray:
-    """Whether all that arrays [R, ...] hold of a run is finite, bool [R]."""
-    rows = [np.isfinite(np.asarray(array)).reshape(len(array), -1) for array in arrays]
-    return np.all([row.all(axis=1) for row in rows], axis=0)
 
 
 def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:

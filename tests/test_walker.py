@@ -31,7 +31,7 @@ def official():
 def step(walkers, actions, command=Command.STEP):
     """One tick of 16 walkers, on the device of a small pool."""
     rows = np.full(LANES, command, np.uint8), np.float32(actions), np.zeros(LANES, np.uint32)
-    return jax_pool._tick(*jax.device_put((walkers, *rows), walker_devices(1)[0]))
+    return jax_pool.tick(*jax.device_put((walkers, *rows), walker_devices(1)[0]))
 
 
 def stacked(walkers):

@@ -2,6 +2,7 @@
 
 import functools
 import math
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +21,27 @@ _MOST_LANES = 2048
 """More walkers at once do not fit into a core's cache."""
 
 
+class Block(NamedTuple):
+    """Walkers that are stepped together.
+
+    Attributes:
+        device: where.
+        start: the first of the pool's walkers that are of it.
+        stop: the first behind them.
+    """
+
+    device: jax.Device
+    start: int
+    stop: int
+
+
 class JaxPool(CheckedPool):
-    """N walkers in blocks of equal size, which are shared out over devices."""
+    """N walkers in blocks of equal size, which are shared out over devices.
+
+    Attributes:
+        blocks: of walkers.
+        walkers: of each block, leaves [L, ...]; those behind the block's own are never begun.
+    """
 
     seedable = True
 
@@ -30,38 +50,44 @@ class JaxPool(CheckedPool):
 
         Args:
             num_walkers: N.
-            num_devices: CPU devices to share them out over; an accelerator takes all.
+            num_devices: CPU devices to share them out over; accelerators are all used.
         """
         super().__init__(num_walkers, walker.OBSERVATION_SIZE, walker.ACTION_SIZE)
         devices = walker_devices(min(num_devices, math.ceil(num_walkers / _LANES)))
         cpu = devices[0].platform == "cpu"
         needed = math.ceil(num_walkers / _MOST_LANES) if cpu else 1
-        blocks = math.ceil(needed / len(devices)) * len(devices)
-        self._lanes = math.ceil(num_walkers / blocks / _LANES) * _LANES
-        self._devices = [devices[block % len(devices)] for block in range(blocks)]
-        self._walkers = [_waiting(self._lanes, device) for device in self._devices]
+        share = math.ceil(num_walkers / (math.ceil(needed / len(devices)) * len(devices)))
+        starts = range(0, num_walkers, share)
+        self.blocks = [
+            Block(devices[index % len(devices)], start, min(start + share, num_walkers))
+            for index, start in enumerate(starts)
+        ]
+        self._lanes = math.ceil(share / _LANES) * _LANES
+        self.walkers = [_waiting(self._lanes, block.device) for block in self.blocks]
         self._steps: list[Step] = []
         self._observation = np.zeros((num_walkers, self.observation_size), np.float32)
 
     def _start(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> None:
-        shares = [self._shared(array) for array in (command, action, seed)]
         self._steps = []
-        for index, device in enumerate(self._devices):
-            given = jax.device_put([share[index] for share in shares], device)
-            self._walkers[index], step = _tick(self._walkers[index], *given)
+        for index, block in enumerate(self.blocks):
+            rows = [self._padded(a[block.start : block.stop]) for a in (command, action, seed)]
+            given = jax.device_put(rows, block.device)
+            self.walkers[index], step = tick(self.walkers[index], *given)
             self._steps.append(step)
 
-    def _shared(self, array: np.ndarray) -> np.ndarray:
-        """The rows [N, ...] by block [K, lanes, ...]; those that are of no walker are 0."""
-        lanes = len(self._devices) * self._lanes
-        padded = np.zeros((lanes, *array.shape[1:]), array.dtype)
-        padded[: len(array)] = array
-        return padded.reshape(len(self._devices), self._lanes, *array.shape[1:])
+    def _padded(self, rows: np.ndarray) -> np.ndarray:
+        """A block's rows and zeros for the walkers behind them, which stay idle."""
+        return np.concatenate(
+            [rows, np.zeros((self._lanes - len(rows), *rows.shape[1:]), rows.dtype)]
+        )
 
     def _finish(self, command: np.ndarray) -> StepBatch:
-        told = [jax.tree.leaves(jax.device_get(step)) for step in self._steps]
+        told = [
+            [leaf[: block.stop - block.start] for leaf in jax.tree.leaves(jax.device_get(step))]
+            for block, step in zip(self.blocks, self._steps, strict=True)
+        ]
         seen, reward, terminated, truncated = (
-            np.concatenate(leaves)[: self.num_walkers] for leaves in zip(*told, strict=True)
+            np.concatenate(leaves) for leaves in zip(*told, strict=True)
         )
         stepped = command == Command.STEP
         moved = command != Command.IDLE
@@ -75,13 +101,13 @@ class JaxPool(CheckedPool):
 
     def walker(self, index: int) -> Walker:
         """One of the walkers as it is, to be drawn; leaves without a batch axis."""
-        block, lane = divmod(index, self._lanes)
-        one: Walker = jax.tree.map(lambda leaf: leaf[lane], self._walkers[block])
+        block, lane = divmod(index, self.blocks[0].stop)
+        one: Walker = jax.tree.map(lambda leaf: leaf[lane], self.walkers[block])
         return one
 
     def _shutdown(self) -> None:
-        jax.block_until_ready(self._walkers)  # A process that ends under a program's feet crashes.
-        self._walkers, self._steps = [], []
+        jax.block_until_ready(self.walkers)  # A process that ends under a program's feet crashes.
+        self.walkers, self._steps = [], []
 
 
 def _waiting(lanes: int, device: jax.Device) -> Walker:
@@ -96,10 +122,20 @@ def _made(seeds: jax.Array) -> Walker:
 
 
 @functools.partial(jax.jit, donate_argnums=0)
-def _tick(
+def tick(
     walkers: Walker, command: jax.Array, action: jax.Array, seed: jax.Array
 ) -> tuple[Walker, Step]:
-    """A tick of a block of walkers; what it tells of one that is idle means nothing."""
+    """A tick of walkers; what it tells of one that is idle means nothing.
+
+    Args:
+        walkers: leaves [L, ...]; donated.
+        command: a `Command` for each, [L].
+        action: [L, A].
+        seed: of those that begin, uint32 [L].
+
+    Returns:
+        The walkers and what came of the tick, leaves [L, ...].
+    """
     begins, idle = command == Command.RESET, command == Command.IDLE
 
     def renewed() -> Walker:

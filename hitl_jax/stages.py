@@ -1,0 +1,164 @@
+"""Where a chunk of ticks is played: by the host, tick by tick, or by one program on the device.
+
+Both give the host loop the same: what each tick decided, and what the walkers answered. A stage
+holds all that acting remembers.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Protocol
+
+import chex
+import jax
+import numpy as np
+
+from hitl_jax import batch
+from hitl_jax.agent import Agent
+from hitl_jax.batch import Programs
+from hitl_jax.config import RunHyper
+from hitl_jax.devices import acting_device
+from hitl_jax.envs import Command, StepBatch, WalkerPool
+
+
+@dataclasses.dataclass
+class Slots:
+    """What the host knows of the R slots at a tick; the host loop changes it as it goes.
+
+    Attributes:
+        active: whether a run plays there, bool [R].
+        needs_reset: whether its next tick is a reset, bool [R].
+        seeds: of the resets to come, the next one first, uint32 [R, K].
+        left: episodes that its run has yet to end, int32 [R].
+        observation: what was seen last, [R, O].
+    """
+
+    active: np.ndarray
+    needs_reset: np.ndarray
+    seeds: np.ndarray
+    left: np.ndarray
+    observation: np.ndarray
+
+    @property
+    def live(self) -> np.ndarray:
+        """Whether a step is taken at this tick, bool [R]."""
+        return self.active & ~self.needs_reset
+
+
+class Tick(Protocol):
+    """A tick under way.
+
+    Attributes:
+        decided: frames and flags, [R, W + 6]; see `batch.act_or_begin`.
+    """
+
+    decided: np.ndarray
+
+    def answer(self, live: np.ndarray) -> StepBatch:
+        """What the walkers did; those of `live`, bool [R], took a step."""
+        ...
+
+
+class Stage(Protocol):
+    """Plays ticks with what acting needs of all runs' parameters."""
+
+    def prepare(self, packed: list[jax.Array]) -> np.ndarray:
+        """Takes parameters for the next chunk.
+
+        Args:
+            packed: of each learning device, [R / D, P].
+
+        Returns:
+            Whether all of a run's are finite, bool [R].
+        """
+        ...
+
+    def ticks(self, slots: Slots, count: int) -> Iterator[Tick]:
+        """Plays so many ticks; the host books one before it asks for the next."""
+        ...
+
+    def seat(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
+        """Begins a run."""
+        ...
+
+    def words(self) -> np.ndarray:
+        """All that acting remembers, a row for each slot, uint32 [R, S]."""
+        ...
+
+    def restore(self, slot: int, words: np.ndarray) -> None:
+        """Puts back a row of `words`."""
+        ...
+
+    def boundaries(self) -> np.ndarray:
+        """The carry of each run's boundary source, [R] or [R, K]."""
+        ...
+
+
+def make_stage(agent: Agent, pool: WalkerPool, programs: Programs) -> Stage:
+    """The device's stage for walkers that are on one, else the host's."""
+    if hasattr(pool, "blocks"):
+        from hitl_jax.device_stage import DeviceStage  # imports Box2D, for its walker's numbers
+
+        return DeviceStage(agent, pool, programs)  # type: ignore[arg-type]
+    return HostStage(agent, pool, programs)
+
+
+@dataclasses.dataclass
+class _HostTick:
+    decided: np.ndarray
+    pool: WalkerPool
+    slots: Slots
+    columns: slice
+
+    def answer(self, live: np.ndarray) -> StepBatch:
+        slots = self.slots
+        command = np.where(live, Command.STEP, Command.IDLE).astype(np.uint8)
+        command[slots.active & slots.needs_reset] = Command.RESET
+        return self.pool.step(command, self.decided[:, self.columns], slots.seeds[:, 0])
+
+
+class HostStage:
+    """Acting is one program a tick on a device of its own; walkers are any pool's."""
+
+    def __init__(self, agent: Agent, pool: WalkerPool, programs: Programs):
+        """Places acting on its device; without runs yet."""
+        self._pool = pool
+        self._programs = programs
+        self._action = agent.layout.action
+        self._device = acting_device()
+        self._acting = batch.empty_acting(agent, pool.num_walkers, self._device)
+
+    def prepare(self, packed: list[jax.Array]) -> np.ndarray:
+        """See `Stage`."""
+        self._behavior = self._programs.unpack_behavior(jax.device_put(packed, self._device))
+        return finite_rows(*jax.tree.leaves(self._behavior))
+
+    def ticks(self, slots: Slots, count: int) -> Iterator[Tick]:
+        """See `Stage`."""
+        for _ in range(count):
+            self._acting, packed = self._programs.act(
+                self._acting, self._behavior, slots.observation, slots.live
+            )
+            yield _HostTick(np.asarray(packed), self._pool, slots, self._action)
+
+    def seat(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
+        """See `Stage`."""
+        key = jax.device_put(key, self._device)
+        self._acting = self._programs.seat_acting(self._acting, slot, hyper, key)
+
+    def words(self) -> np.ndarray:
+        """See `Stage`."""
+        return np.asarray(self._acting.state)
+
+    def restore(self, slot: int, words: np.ndarray) -> None:
+        """See `Stage`."""
+        self._acting = self._programs.restore_acting(self._acting, slot, words)
+
+    def boundaries(self) -> np.ndarray:
+        """See `Stage`."""
+        return np.asarray(self._programs.boundaries(self._acting))
+
+
+def finite_rows(*arrays: chex.Array) -> np.ndarray:
+    """Whether all that arrays [R, ...] hold of a run is finite, bool [R]."""
+    rows = [np.isfinite(np.asarray(array)).reshape(len(array), -1) for array in arrays]
+    return np.all([row.all(axis=1) for row in rows], axis=0)
