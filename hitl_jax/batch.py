@@ -105,6 +105,7 @@ class Programs(NamedTuple):
     begin_ring: Callable[..., Seats]
 
 
+@jax.jit
 def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, chex.PRNGKey]:
     """Keys for learning, acting and testing of a run: from its method and seed alone."""
     key = jax.random.fold_in(make_key(seed), method_index)

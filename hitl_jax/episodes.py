@@ -141,7 +141,10 @@ class EpisodeCounter:
     def _finish(self, walker: int, step: Step) -> Row:
         totals = dict(zip(_COUNTS, self._totals[:, walker].tolist(), strict=True))
         fall = bool(step.terminated[walker]) and float(step.reward[walker]) <= FALL_REWARD
-        oldest_first = np.roll(self._recent[:, walker], -int(totals["length"]) % ALARM_WINDOW)
+        recent = self._recent[:, walker]
+        oldest = int(totals["length"]) % ALARM_WINDOW
+        # A fall among thousands of walkers is frequent, and NumPy's own roll slow.
+        oldest_first = np.concatenate([recent[oldest:], recent[:oldest]])
         timely = np.flatnonzero(oldest_first) if fall else np.empty(0, int)
         row: Row = {
             "return": totals["return"],

@@ -389,12 +389,16 @@ class Rollout:
         run.episodes.append({"episode": len(run.episodes) + 1, "env_steps": run.env_steps, **row})
         for name in names_of(run.episodes, run.recordings):
             run.recordings[name] = Recording(len(run.episodes), self._log.of(slot))
-        self._slots.needs_reset[slot] = True
         self._log.begin(slot)
-        self._look_ahead(run)
-        if len(run.episodes) == run.spec.episodes:
+        slots, ended = self._slots, len(run.episodes)
+        slots.needs_reset[slot] = True
+        slots.left[slot] -= 1
+        seeds = slots.seeds[slot]
+        seeds[:-1] = seeds[1:]
+        seeds[-1] = episode_seed(run.spec.method, run.spec.seed, ended + len(seeds) - 1)
+        if ended == run.spec.episodes:
             run.done = True
-            self._slots.active[slot] = False
+            slots.active[slot] = False
 
     def _look_ahead(self, run: Run) -> None:
         """Notes the episodes that a run has yet to play, and the seeds of the next ones."""

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from hitl_jax.walker import parts
+from hitl_jax.walker.kernel import on_gpu
 from hitl_jax.walker.once import once
 from hitl_jax.walker.plane import Pose, Speeds, Vec, cross, dot, pose, tangent
 from hitl_jax.walker.touch import Contacts, Manifold
@@ -206,9 +207,13 @@ def velocity_round(
     normals, alongs = [], []
     for slot in range(normal[0].shape[0]):
         here = _at(grips, slot)
-        speeds, new_normal, new_along = _solve(
-            speeds, here, (normal[0][slot], normal[1][slot]), (along[0][slot], along[1][slot])
-        )
+        before = speeds, (normal[0][slot], normal[1][slot]), (along[0][slot], along[1][slot])
+        if on_gpu():  # A thread goes by where it has no contact.
+            there = (here.points[0].mass > 0) | (here.points[1].mass > 0)
+            after = jax.lax.cond(there.any(), _solve, lambda _, *same: same, here, *before)
+        else:
+            after = _solve(here, *before)
+        speeds, new_normal, new_along = after
         normals.append(new_normal)
         alongs.append(new_along)
     stack = jnp.stack
@@ -219,7 +224,7 @@ def velocity_round(
     )
 
 
-def _solve(speeds: Speeds, grip: Grips, normal: Pair, along: Pair) -> tuple[Speeds, Pair, Pair]:
+def _solve(grip: Grips, speeds: Speeds, normal: Pair, along: Pair) -> tuple[Speeds, Pair, Pair]:
     """One slot."""
     slides = []
     zero = jnp.zeros_like(speeds.spin)
