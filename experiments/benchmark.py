@@ -6,6 +6,7 @@ beside it. `scaling`, `saves`, `walkers` and `peers` take some minutes each.
 
 import dataclasses
 import json
+import os
 import pathlib
 import sys
 from collections.abc import Callable
@@ -62,6 +63,8 @@ def main(options: BenchmarkOptions) -> int:
             raise BadInput(f"--plot {options.plot}: must end with .png or .svg")
         if "scaling" not in parts:
             raise BadInput(f"--plot {options.plot}: needs the part scaling in --only")
+    # Of a GPU, take what is needed: the processes of the part scaling need the rest.
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     report: dict[str, Any] = {"versions": versions(), "cores": num_cores()}
     for part in parts:
         rows = PARTS[part](options)

@@ -1,7 +1,7 @@
 """How rates, memory and start-up grow with the number of runs.
 
 Each size is measured in a process of its own, started twice: first with an empty cache of compiled
-programs, then with the filled one.
+programs, then with the filled one. Where JAX has an accelerator, everything runs there.
 """
 
 import json
@@ -12,10 +12,11 @@ import tempfile
 import time
 from typing import Any
 
+import jax
 from matplotlib.figure import Figure
 
 from experiments.benchmarks.loop import play, specs_of, warm_up
-from experiments.benchmarks.timing import Row, memory_mb
+from experiments.benchmarks.timing import Row, device_mb, memory_mb
 from experiments.compile_cache import keep_programs
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Method
@@ -24,6 +25,9 @@ from hitl_jax.rollout import Rollout
 from hitl_jax.runs import LoopConfig, num_slots
 
 NUM_RUNS = (1, 3, 10, 30, 100)
+NUM_RUNS_ON_ACCELERATOR = (30, 300, 3000)
+CAPACITY_ON_ACCELERATOR = 50_000
+"""The whole replay of 3000 runs would take 84 GB."""
 SLOTS = 128
 SECOND_START_BAR = 15.0
 MEMORY_BAR = 16.0
@@ -45,9 +49,10 @@ _LINES: tuple[dict[str, Any], ...] = (
 
 
 def measure_scaling(seconds: float) -> list[Row]:
-    """A row for each number of runs, all seated at once (`--slots 128`), with the whole replay."""
+    """A row for each number of runs, all seated at once, with the whole replay on a CPU."""
+    sizes = NUM_RUNS if jax.default_backend() == "cpu" else NUM_RUNS_ON_ACCELERATOR
     rows: list[Row] = []
-    for runs in NUM_RUNS:
+    for runs in sizes:
         with tempfile.TemporaryDirectory() as cache:
             first, second = (_started(runs, seconds, cache) for _ in range(2))
         start = second.pop("start s")
@@ -103,8 +108,12 @@ def _started(runs: int, seconds: float, cache: str) -> Row:
 def _measure(runs: int, seconds: float, started: float) -> Row:
     """One size in this process; `started` is when its parent asked for it [s since the epoch]."""
     keep_programs()
-    config = LoopConfig()
-    with make_pool("lean", num_slots(runs, SLOTS)) as pool:
+    if jax.default_backend() == "cpu":
+        backend, slots, config = "lean", num_slots(runs, SLOTS), LoopConfig()
+    else:
+        backend, slots = "jax", num_slots(runs, runs)
+        config = LoopConfig(capacity=CAPACITY_ON_ACCELERATOR)
+    with make_pool(backend, slots) as pool:
         specs = specs_of(list(Method), runs)
         rollout = Rollout(make_agent(AgentConfig()), specs, pool, config)
         chunks = iter(rollout)
@@ -112,9 +121,10 @@ def _measure(runs: int, seconds: float, started: float) -> Row:
         start = time.time() - started
         warm_up(rollout, chunks)
         played = play(rollout, chunks, 5 * seconds)
-        memory = memory_mb(children=True)
+        memory = memory_mb(children=True) if backend == "lean" else device_mb()
     return {
         "runs": runs,
+        "backend": f"{backend}, {jax.default_backend()}",
         "steps/s": round(played.steps / played.seconds),
         "updates/s": round(played.ticks * runs * config.updates_per_step / played.seconds),
         "µs a run-step": round(1e6 * played.seconds / played.steps),

@@ -64,6 +64,12 @@ def memory_mb(children: bool = False) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
+def device_mb() -> float:
+    """The most memory that JAX's first device has held at once [MB]; NaN if it does not say."""
+    told = jax.local_devices()[0].memory_stats() or {}
+    return float(told.get("peak_bytes_in_use", float("nan"))) / 1e6
+
+
 class Busy(NamedTuple):
     """Core time since their start, of those that do the work [s]; NaN where /proc is missing.
 
