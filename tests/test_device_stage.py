@@ -78,7 +78,8 @@ def _assert_same(one, other):
 
 @pytest.fixture(scope="module")
 def together():
-    finished, playing = _play(_specs(), 6)
+    # Fewer slots than runs: a slot is given on as a run ends.
+    finished, playing = _play(_specs(), 4)
     assert isinstance(playing._stage, device_stage.DeviceStage)
     assert len(finished) == 6
     return finished
@@ -86,39 +87,34 @@ def together():
 
 def test_device_and_host_play_the_same(together, monkeypatch):
     monkeypatch.setattr(rollout, "make_stage", stages.HostStage)
-    by_host, _ = _play(_specs(), 6)
+    by_host, _ = _play(_specs(), 4)
     for key, run in together.items():
         _assert_same(run, by_host[key])
 
 
-def test_a_slot_is_given_on(together):
-    for key, run in _play(_specs(), 2)[0].items():
-        _assert_same(run, together[key])
-
-
-def test_blocks_may_cross_the_learners_borders(together, monkeypatch):
+def test_blocks_do_not_matter(together, monkeypatch):
     monkeypatch.setattr(jax_pool, "_MOST_LANES", 2)
-    in_blocks, playing = _play(_specs(), 6)
-    assert len(playing._pool.blocks) == 3
+    in_blocks, playing = _play(_specs(), 4)
+    assert len(playing._pool.blocks) == 2
     for key, run in together.items():
         _assert_same(run, in_blocks[key])
 
 
 def test_a_run_that_is_saved_goes_on_as_if_nothing_had_been(together):
-    _, playing = _play(_specs(), 6, saved={}, chunks=10)
+    _, playing = _play(_specs(), 4, saved={}, chunks=10)
     saved = {run.key: run for run in playing.save()}
-    rest, _ = _play(_specs(), 6, saved=saved)
+    rest, _ = _play(_specs(), 4, saved=saved)
     for key, run in together.items():
         _assert_same(run, rest[key])
 
 
 def test_a_reward_that_is_no_number_ends_its_run_alone(monkeypatch):
     monkeypatch.setattr("test_device_stage._BROKEN", 12)
-    on_device, _ = _play(_specs(), 6)
+    on_device, _ = _play(_specs(), 4)
     ended = {run.run.diverged.quantity for run in on_device.values() if run.run.diverged}
     assert ended == {"reward"}
     monkeypatch.setattr(rollout, "make_stage", stages.HostStage)
-    by_host, _ = _play(_specs(), 6)
+    by_host, _ = _play(_specs(), 4)
     for key, run in on_device.items():
         assert run.run.diverged == by_host[key].run.diverged
         assert repr(run.run.episodes) == repr(by_host[key].run.episodes)

@@ -2,15 +2,15 @@
 
 import functools
 
+import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
 import ptx_machine
 import pytest
 
-from hitl_jax import walker
-from hitl_jax.keys import make_key
-from hitl_jax.walker import grips, ground, hinges, impact, kernel, parts, touch, world
+from hitl_jax.envs import WALKER
+from hitl_jax.walker import copying, grips, ground, hinges, impact, kernel, parts, touch, world
 from hitl_jax.walker.plane import Speeds, Vec, pose
 from hitl_jax.walker.rarely import where_needed
 from hitl_jax.walker.thread import cosine, sine
@@ -20,21 +20,29 @@ _WALKERS = 3
 
 @pytest.fixture(scope="module")
 def now():
-    """Walkers that have stumbled for a while, their ground, and what a step is made of."""
-    walkers = jax.vmap(lambda seed: walker.made(make_key(seed)))(jnp.arange(16))
-    step = jax.jit(jax.vmap(walker.step))
-    for tick in range(45):
-        action = jax.random.uniform(make_key(tick), (16, 4), minval=-1.0, maxval=1.0)
-        walkers, _ = step(walkers, action)
-    few = jax.tree.map(lambda leaf: jnp.moveaxis(leaf[-_WALKERS:], 0, -1), walkers)
-    legs = world.legs_of(pose(few.world.place, few.world.angle))
-    edges = ground.edges_of_parts(few.heights, world.legs_left(legs))
+    """Gymnasium's walkers when they have stumbled for a while, and what a step is made of."""
+    env = gymnasium.make(WALKER, disable_env_checker=True).unwrapped
+    worlds, heights = [], []
+    for seed in range(_WALKERS):
+        env.reset(seed=seed)
+        rng = np.random.default_rng(seed)
+        for _ in range(45):
+            env.step(rng.uniform(-1, 1, 4).astype(np.float32))
+        worlds.append(copying.world_of(env))
+        heights.append(copying.heights_of(env))
+    before = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *worlds)
+    return before, *jax.jit(_prepared)(before, np.stack(heights, axis=-1))
+
+
+def _prepared(before, heights):
+    bodies = pose(before.place, before.angle)
+    legs = world.legs_of(bodies)
+    edges = ground.edges_of_parts(heights, world.legs_left(legs))
     manifold = touch.forward(touch.touch(legs, edges))
-    contacts = touch.remember(few.world.contacts, manifold)
+    contacts = touch.remember(before.contacts, manifold)
     speed = jnp.asarray(parts.SPEEDS[:, None], jnp.float32) * jnp.ones((4, _WALKERS))
-    bodies = pose(few.world.place, few.world.angle)
-    hinge = hinges.prepare(bodies, few.world.angle, speed, parts.TORQUE * jnp.ones_like(speed))
-    return few.world, edges, manifold, contacts, hinge, grips.prepare(manifold, legs)
+    hinge = hinges.prepare(bodies, before.angle, speed, parts.TORQUE * jnp.ones_like(speed))
+    return edges, manifold, contacts, hinge, grips.prepare(manifold, legs)
 
 
 def _agree(function, args, num_parts=None, tolerance=2e-5):

@@ -26,12 +26,14 @@ _PLACEHOLDER = 9973
 
 
 def on_gpu() -> bool:
-    """Whether programs are made for a GPU, as JAX's default device says."""
-    return jax.default_backend() == "gpu"
+    """Whether programs are made for an NVIDIA GPU, as JAX's default device says."""
+    if jax.default_backend() != "gpu":
+        return False
+    return "rocm" not in jax.devices()[0].client.platform_version
 
 
 def as_kernel(function: Callable[..., Any], num_parts: int | None = None) -> Callable[..., Any]:
-    """The function as one kernel where JAX runs on a GPU, else itself.
+    """The function as one kernel where JAX runs on an NVIDIA GPU, of 2020 or later; else itself.
 
     Whether anybody needs another round is asked of each thread by itself: a loop must do nothing to
     those that need none.
