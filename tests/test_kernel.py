@@ -131,5 +131,6 @@ def test_leaves_of_other_batches_are_named():
         kernel.written(lambda a, b: (a, b), None, args)
 
 
-def test_on_a_cpu_a_function_stays_itself():
+def test_on_a_cpu_a_function_stays_itself(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
     assert kernel.as_kernel(jnp.sin) is jnp.sin
