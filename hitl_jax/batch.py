@@ -7,8 +7,9 @@ up costs nothing, and nothing is compiled again. A tile that is not full is fill
 its first run. Each device has its own runs and the same programs: two CPU devices keep two cores
 busy better than one with two threads, since a small matrix product does not split well.
 
-Acting. One small program for all runs on one device, called once a tick by the host loop. What it
-remembers, and hyperparameters, are packed: each array of a call costs the host time.
+Acting. One small program for all runs on one device, called once a tick by the host loop, or a part
+of a program for a whole chunk (`hitl_jax.stages` has both). What it remembers, and hyperparameters,
+are packed: each array of a call costs the host time.
 """
 
 import dataclasses
@@ -35,6 +36,9 @@ from hitl_jax.types import Behavior, TrainState
 EXTRA_COLUMNS = ("control", "began", "human_action", "human_reset", "alarmed", "dangerous")
 """Columns of a packed decision behind those of the frame, in this order; each 0 or 1."""
 
+CHECKED_COLUMNS = ("observation", "action", "boundary")
+"""Of what was decided; a run ends where one of them is not finite."""
+
 _MOST_SLICES = 8
 """More rows than this, as an accelerator's tile has, are gathered: each slice is compiled anew."""
 
@@ -57,7 +61,7 @@ class Seats(NamedTuple):
 
 
 class Acting(NamedTuple):
-    """Everything on the acting device, packed.
+    """Everything on an acting device, packed.
 
     Attributes:
         state: acting states, uint32 [R, S].
@@ -105,9 +109,21 @@ class Programs(NamedTuple):
     begin_ring: Callable[..., Seats]
 
 
-@jax.jit
 def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, chex.PRNGKey]:
-    """Keys for learning, acting and testing of a run: from its method and seed alone."""
+    """Keys for learning, acting and testing of a run: from its method and seed alone.
+
+    Args:
+        seed: in [0, 2³²).
+        method_index: see `hitl_jax.runs.method_index`.
+    """
+    # As one program: drawn one by one, the keys of a thousand runs take a minute.
+    return _run_keys(np.uint32(seed), np.uint32(method_index))
+
+
+@jax.jit
+def _run_keys(
+    seed: chex.Array, method_index: chex.Array
+) -> tuple[chex.PRNGKey, chex.PRNGKey, chex.PRNGKey]:
     key = jax.random.fold_in(make_key(seed), method_index)
     learning, acting, testing = jax.random.split(key, 3)
     return learning, acting, testing

@@ -17,6 +17,7 @@ from hitl_jax.config import RunHyper
 from hitl_jax.envs import Command, StepBatch
 from hitl_jax.envs.jax_pool import Block, JaxPool, tick
 from hitl_jax.stages import Slots, Tick
+from hitl_jax.types import Behavior
 
 
 @dataclasses.dataclass
@@ -34,8 +35,9 @@ class _DeviceTick:
 class DeviceStage:
     """Acting and walkers share one program for a whole chunk, on each block of the pool's walkers.
 
-    The program ends episodes, begins the next ones and stops runs that are done or not finite, by
-    the same rules as the host loop, which books the chunk afterwards.
+    The pool itself is not told what its walkers do here: it may but RESET them, and go on from
+    there. The program ends episodes, begins the next ones and stops runs that are done or not
+    finite, by the same rules as the host loop, which books the chunk afterwards.
     """
 
     def __init__(self, agent: Agent, pool: JaxPool, programs: Programs):
@@ -46,7 +48,7 @@ class DeviceStage:
             batch.empty_acting(agent, block.stop - block.start, block.device)
             for block in pool.blocks
         ]
-        self._behavior: list[jax.Array] = []
+        self._behavior: list[Behavior] = []
         self._play = jax.jit(
             functools.partial(_play, agent), static_argnums=0, donate_argnums=(1, 3)
         )
@@ -54,7 +56,10 @@ class DeviceStage:
 
     def prepare(self, packed: list[jax.Array]) -> np.ndarray:
         """See `Stage`."""
-        self._behavior = [_rows_of(packed, block) for block in self._pool.blocks]
+        # Not in the program of the ticks: its rounding would tell how many runs there are.
+        self._behavior = [
+            self._programs.unpack_behavior([_rows_of(packed, block)]) for block in self._pool.blocks
+        ]
         return np.concatenate([np.asarray(self._finite(rows)) for rows in packed])
 
     def ticks(self, slots: Slots, count: int) -> Iterator[Tick]:
@@ -126,7 +131,7 @@ def _play(
     state: chex.Array,
     hyper: chex.Array,
     walkers: chex.ArrayTree,
-    packed: chex.Array,
+    behavior: Behavior,
     known: tuple[chex.Array, ...],
 ) -> tuple[chex.Array, chex.ArrayTree, tuple[chex.Array, ...]]:
     """A chunk of ticks of B runs; `walkers` may be more, which stay idle.
@@ -137,23 +142,24 @@ def _play(
         state: acting states as words, [B, S].
         hyper: hyperparameters as words, [B, H].
         walkers: leaves [L, ...], L ≥ B.
-        packed: what acting needs of the parameters, [B, P].
+        behavior: what acting needs of the parameters, leaves [B, ...].
         known: the fields of `Slots`, leaves [B, ...].
 
     Returns:
         States and walkers after it, and of each tick what was decided [U, B, W + 6], who took a
         step [U, B], and the fields of `StepBatch`.
     """
-    behavior = batch.unpack_behavior(agent, [packed])
     act = jax.vmap(functools.partial(batch.act_packed, agent))
     active, needs_reset, seeds, left, observation = known
     begun = jnp.zeros_like(left)
+    checked_columns = [getattr(agent.layout, name) for name in batch.CHECKED_COLUMNS]
 
     def one(carry: Any, _: None) -> tuple[Any, tuple[chex.Array, ...]]:
         state, walkers, active, needs_reset, left, begun, observation = carry
         live = active & ~needs_reset
         state, decided = act(state, hyper, behavior, observation, live)
-        sound = jnp.isfinite(decided).all(axis=1) | ~live
+        checked = jnp.column_stack([decided[:, columns] for columns in checked_columns])
+        sound = jnp.isfinite(checked).all(axis=1) | ~live
         active, live = active & sound, live & sound
         begins = active & needs_reset
         seed = jnp.take_along_axis(seeds, begun[:, None], axis=1, mode="clip")[:, 0]

@@ -1,5 +1,7 @@
 """The host loop: walkers on one side, the learner on the other, both busy.
 
+(Not where both are on one GPU: there they take turns.)
+
 Time is cut into ticks (one step of every walker) and chunks of U ticks. While the walkers play
 chunk i+1, the device learns from chunk i, or still from chunk i−1: up to `LAG` calls of the learner
 are under way, so that neither side waits for the other at the end of a chunk. The parameters that
@@ -84,6 +86,7 @@ class Rollout:
             agent, self._num_updates, default_tile(slots) if tile is None else tile
         )
         self._stage = make_stage(agent, pool, self._programs)
+        self._acting_shape = self._stage.words().shape[1:]
         self._seats = [
             batch.empty_seats(agent, self._share, config.frames, device) for device in self._devices
         ]
@@ -279,7 +282,7 @@ class Rollout:
         totals, alarms = self._counter.state_of(0)
         expected = {
             "train": (words,),
-            "acting": self._stage.words().shape[1:],
+            "acting": self._acting_shape,
             "behavior": (LAG + 1, learned),
             "observation": (self._layout.observation_size,),
             "totals": totals.shape,
@@ -323,7 +326,7 @@ class Rollout:
         for place, tick in enumerate(self._stage.ticks(slots, self._config.chunk)):
             live, decided = slots.live, tick.decided
             if not np.isfinite(decided[live]).all():
-                for name in ("observation", "action", "boundary"):
+                for name in batch.CHECKED_COLUMNS:
                     part = decided[:, getattr(self._layout, name)]
                     self._stop_diverged(name, finite_rows(part) | ~live)
                 live &= slots.active

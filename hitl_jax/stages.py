@@ -73,11 +73,22 @@ class Stage(Protocol):
         ...
 
     def ticks(self, slots: Slots, count: int) -> Iterator[Tick]:
-        """Plays so many ticks; the host books one before it asks for the next."""
+        """Plays ticks; the host books one before it asks for the next.
+
+        Args:
+            slots: as they are before each tick; the host changes them as it books.
+            count: how many.
+        """
         ...
 
     def seat(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
-        """Begins a run."""
+        """Begins a run.
+
+        Args:
+            slot: where.
+            hyper: its hyperparameters, host scalars.
+            key: of its acting, see `batch.run_keys`; consumed.
+        """
         ...
 
     def words(self) -> np.ndarray:
@@ -85,7 +96,7 @@ class Stage(Protocol):
         ...
 
     def restore(self, slot: int, words: np.ndarray) -> None:
-        """Puts back a row of `words`."""
+        """Puts back a row of `words`, [S], in a slot."""
         ...
 
     def boundaries(self) -> np.ndarray:
@@ -94,9 +105,15 @@ class Stage(Protocol):
 
 
 def make_stage(agent: Agent, pool: WalkerPool, programs: Programs) -> Stage:
-    """The device's stage for walkers that are on one, else the host's."""
-    if hasattr(pool, "blocks"):
-        from hitl_jax.device_stage import DeviceStage  # imports Box2D, for its walker's numbers
+    """The device's stage for walkers that are on one, else the host's.
+
+    Args:
+        agent: the team.
+        pool: the walkers.
+        programs: of the batch.
+    """
+    if hasattr(pool, "blocks"):  # of a JaxPool, whose module imports Box2D for its walker's numbers
+        from hitl_jax.device_stage import DeviceStage
 
         return DeviceStage(agent, pool, programs)  # type: ignore[arg-type]
     return HostStage(agent, pool, programs)

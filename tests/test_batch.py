@@ -115,6 +115,13 @@ def test_the_ring_is_updated_in_place():
     assert pointers[0] == pointers[1]
 
 
+def test_seeds_are_words_of_32_bits():
+    many = {
+        tuple(jax.random.key_data(batch.run_keys(s, 1)[0]).tolist()) for s in (0, 2**31, 2**32 - 1)
+    }
+    assert len(many) == 3
+
+
 def test_keys_come_from_method_and_seed():
     keys = [batch.run_keys(seed, method) for seed in range(3) for method in range(3)]
     data = {tuple(jax.random.key_data(key).tolist()) for three in keys for key in three}

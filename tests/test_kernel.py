@@ -1,6 +1,7 @@
 """The solver's loops as a GPU's kernels, on a slow machine of the tests' own."""
 
 import functools
+import types
 
 import gymnasium
 import jax
@@ -52,7 +53,8 @@ def _agree(function, args, num_parts=None, tolerance=2e-5):
     )
     expected = jax.jit(function)(*args)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(jax, "default_backend", lambda: "gpu")
+        for module in ("kernel", "grips", "once", "rarely", "world"):
+            patch.setattr(f"hitl_jax.walker.{module}.on_gpu", lambda: True)
         # Not the same object: JAX would give what it has traced for a CPU.
         text, told = kernel.written(lambda *args: function(*args), num_parts, args)
     results = [np.zeros(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(told)]
@@ -131,6 +133,42 @@ def test_leaves_of_other_batches_are_named():
         kernel.written(lambda a, b: (a, b), None, args)
 
 
-def test_on_a_cpu_a_function_stays_itself(monkeypatch):
-    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
-    assert kernel.as_kernel(jnp.sin) is jnp.sin
+def test_on_a_cpu_a_function_stays_itself():
+    with jax.default_device(jax.devices("cpu")[0]):
+        assert kernel.as_kernel(jnp.sin) is jnp.sin
+
+
+@pytest.mark.parametrize(
+    ("platform", "capability", "taken"),
+    [("gpu", "9.0", True), ("gpu", "7.5", False), ("gpu", "gfx942", False), ("cpu", None, False)],
+)
+def test_kernels_are_for_gpus_that_know_their_instructions(
+    monkeypatch, platform, capability, taken
+):
+    device = types.SimpleNamespace(platform=platform, compute_capability=capability)
+    monkeypatch.setattr(jax, "devices", lambda *_: [device])
+    assert kernel.on_gpu() is taken
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (lambda a: (a > 0) < (a > 1), "lt of pred"),
+        (lambda a: jax.lax.round(a), "halves away"),
+        (lambda a: jax.lax.cumsum(jnp.stack([a, a]), reverse=True), "cumsum from behind"),
+        (lambda a: jax.lax.scan(lambda c, _: (c + 1, c), a, None, length=2), "scan over nothing"),
+        (
+            lambda a: jax.lax.scan(lambda c, x: (c + x, x), a, jnp.stack([a, a]), reverse=True),
+            "scan from behind",
+        ),
+        (lambda a: a[:2].sum() + a, "slice of threads"),
+    ],
+)
+def test_what_a_kernel_would_get_wrong_is_refused(function, message):
+    with pytest.raises(NotImplementedError, match=message):
+        kernel.written(function, None, (np.zeros(3, np.float32),))
+
+
+def test_results_without_the_batch_are_named():
+    with pytest.raises(ValueError, match=r"result of shape \(3,\): must end with the batch"):
+        kernel.written(lambda a: (a, jnp.arange(3.0)), None, (np.zeros(5, np.float32),))

@@ -35,7 +35,7 @@ MEMORY_BAR = 16.0
 _PANELS: tuple[tuple[str, dict[str, str], float | None], ...] = (
     ("rate of all runs [1/s]", {"steps/s": "environment steps", "updates/s": "updates"}, None),
     ("cost of a step of one run [µs]", {"µs a run-step": "step and its updates"}, None),
-    ("memory [GB]", {"memory GB": "all processes"}, MEMORY_BAR),
+    ("memory [GB]", {"memory GB": "all processes, or devices"}, MEMORY_BAR),
     (
         "start to first steps [s]",
         {"first start s": "first start", "second start s": "second start"},

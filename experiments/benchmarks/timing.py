@@ -65,9 +65,9 @@ def memory_mb(children: bool = False) -> float:
 
 
 def device_mb() -> float:
-    """The most memory that JAX's first device has held at once [MB]; NaN if it does not say."""
-    told = jax.local_devices()[0].memory_stats() or {}
-    return float(told.get("peak_bytes_in_use", float("nan"))) / 1e6
+    """The most memory that each of JAX's devices has held, added up [MB]; NaN if one is silent."""
+    stats = [device.memory_stats() or {} for device in jax.local_devices()]
+    return sum(float(told.get("peak_bytes_in_use", float("nan"))) for told in stats) / 1e6
 
 
 class Busy(NamedTuple):

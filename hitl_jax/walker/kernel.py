@@ -21,19 +21,31 @@ from hitl_jax.walker.thread import Thread, array_of, elements_of
 _NAME = "walker"
 _BLOCK = 32
 """Threads of a block: few, so that a thousand walkers keep a large GPU's processors busy."""
+_LEAST_CAPABILITY = 8.0
+"""The kernels' text uses what came with it."""
 _PLACEHOLDER = 9973
 """Stands for the batch while a function is traced; no other axis is as long."""
 
 
 def on_gpu() -> bool:
-    """Whether programs are made for an NVIDIA GPU, as JAX's default device says."""
-    if jax.default_backend() != "gpu":
+    """Whether JAX's default device is an NVIDIA GPU of 2020 (Ampere) or later.
+
+    That is asked while a program is traced. What was traced for such a GPU runs on no other device:
+    to have a walker on the CPU of a machine with one, trace it under `jax.default_device`.
+    """
+    chosen = jax.config.jax_default_device  # type: ignore[attr-defined]
+    if chosen is None or isinstance(chosen, str):
+        chosen = jax.devices(chosen)[0]
+    if chosen.platform not in ("gpu", "cuda"):
         return False
-    return "rocm" not in jax.devices()[0].client.platform_version
+    try:
+        return float(chosen.compute_capability) >= _LEAST_CAPABILITY
+    except ValueError:  # of another maker's, which has letters
+        return False
 
 
 def as_kernel(function: Callable[..., Any], num_parts: int | None = None) -> Callable[..., Any]:
-    """The function as one kernel where JAX runs on an NVIDIA GPU, of 2020 or later; else itself.
+    """The function as one kernel, for the GPUs of `on_gpu`; else itself.
 
     Whether anybody needs another round is asked of each thread by itself: a loop must do nothing to
     those that need none.
@@ -90,6 +102,9 @@ def written(function: Callable[..., Any], num_parts: int | None, args: Any) -> t
     closed, told = jax.make_jaxpr(function, return_shape=True)(
         *jax.tree.unflatten(structure, traced)
     )
+    ends = [leaf.shape for leaf in jax.tree.leaves(told)]
+    if wrong := [shape for shape in ends if shape[-len(lanes) :] != lanes]:
+        raise ValueError(f"a result of shape {wrong[0]}: must end with the batch")
     told = jax.tree.map(
         lambda leaf: jax.ShapeDtypeStruct((*leaf.shape[:-1], batch), leaf.dtype), told
     )

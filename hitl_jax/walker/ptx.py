@@ -182,8 +182,8 @@ class Writer:
             NotImplementedError: if there is none for such operands.
         """
         kind = _kind(operands[0])
-        if name in _COMPARISONS:
-            if kind == "pred":
+        if name in _COMPARISONS and (kind != "pred" or name in ("eq", "ne")):
+            if kind == "pred" and name in ("eq", "ne"):
                 unequal = self.operate("xor", *operands)
                 return unequal if name == "ne" else self.operate("not", unequal)
             # What is no number is unequal to everything.

@@ -25,7 +25,7 @@ def rarely(
 ) -> Tree:
     """Does a piece of work for those of a batch that need it, some at a time.
 
-    A GPU does it in one kernel, from which the blocks return that nobody needs.
+    A GPU does it in one kernel, where those who do not need it go by.
 
     Args:
         needed: for whom, bool [B].

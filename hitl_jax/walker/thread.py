@@ -168,6 +168,9 @@ class Thread:
 
     def _slice(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         starts, stops = eqn.params["start_indices"], eqn.params["limit_indices"]
+        shape = eqn.invars[0].aval.shape
+        if self.has_lanes(shape) and not self.has_lanes(eqn.outvars[0].aval.shape):
+            raise NotImplementedError("a slice of threads")
         strides = eqn.params["strides"] or (1,) * len(starts)
         cuts = itertools.islice(zip(starts, stops, strides, strict=True), given[0].ndim)
         return [given[0][tuple(slice(*cut) for cut in cuts)]]
@@ -228,8 +231,15 @@ class Thread:
     def _reduce_and(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         return self._reduced("and", eqn, given)
 
+    def _round(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
+        if eqn.params["rounding_method"] != jax.lax.RoundingMethod.TO_NEAREST_EVEN:
+            raise NotImplementedError("round halves away from zero in a kernel")
+        return self._each(eqn, given)
+
     def _cumsum(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         axis = eqn.params["axis"]
+        if eqn.params["reverse"] or axis >= given[0].ndim:
+            raise NotImplementedError("cumsum from behind, or over threads, in a kernel")
         rows = np.split(given[0], given[0].shape[axis], axis)
         return [np.concatenate(list(itertools.accumulate(rows, self._sum)), axis)]
 
@@ -250,9 +260,14 @@ class Thread:
 
     def _scan(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         closed = eqn.params["jaxpr"]
+        if eqn.params["reverse"]:
+            raise NotImplementedError("a scan from behind in a kernel")
         inside = [atom.aval.shape for atom in closed.jaxpr.invars]
         if inside != [atom.aval.shape for atom in eqn.invars]:
             return self._unrolled(eqn, given, inside)
+        results = [atom.aval.shape for atom in closed.jaxpr.outvars]
+        if results != [atom.aval.shape for atom in eqn.outvars]:
+            raise NotImplementedError("a scan over nothing that tells of each step, in a kernel")
         num_consts = len(given) - len(eqn.outvars)
         count = self._copied([array_of([np.int32(0)], ())])[0]
         carry = self._copied(given[num_consts:])
@@ -336,7 +351,9 @@ def _quarter_wave(angle: jax.Array, ahead: float) -> jax.Array:
     bits, is at most an eighth of a turn, where short polynomials do (coefficients: S. Moshier's
     Cephes library, sinf.c).
     """
-    quarters = jax.lax.round(angle * np.float32(2 / math.pi), jax.lax.RoundingMethod(1))
+    quarters = jax.lax.round(
+        angle * np.float32(2 / math.pi), jax.lax.RoundingMethod.TO_NEAREST_EVEN
+    )
     rest = angle
     for piece in (1.5703125, 4.837512969970703e-4, 7.54978995489188e-8):
         rest = rest - quarters * np.float32(piece)
