@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.trained import load_trained
-from hitl_jax import batch
+from hitl_jax import decisions
 from hitl_jax.agent import Agent
 from hitl_jax.envs import WalkerPool
 from hitl_jax.episode_log import playback
@@ -76,7 +76,7 @@ def play_tests(
 
     def watch(decided: np.ndarray, active: np.ndarray) -> None:
         del active  # the rows tell how long each episode was
-        seen.append(batch.recorded_steps(decided, agent.layout, has_arbiter))
+        seen.append(decisions.recorded_steps(decided, agent.layout, has_arbiter))
 
     rows = evaluate_policies(evaluator, mode, spec, [end], watch)
     steps = np.stack(seen, axis=1)

@@ -25,19 +25,13 @@ from jax.sharding import SingleDeviceSharding
 
 from hitl_jax import agent as agents
 from hitl_jax import replay
-from hitl_jax.acting import ActingState, act, begin_episode, init_acting
+from hitl_jax.acting import ActingState, init_acting
 from hitl_jax.agent import Agent
 from hitl_jax.config import RunHyper, typed
+from hitl_jax.decisions import act_or_begin
 from hitl_jax.keys import make_key
 from hitl_jax.packing import pack, unpack
-from hitl_jax.recording import STEP_COLUMNS
 from hitl_jax.types import Behavior, TrainState
-
-EXTRA_COLUMNS = ("control", "began", "human_action", "human_reset", "alarmed", "dangerous")
-"""Columns of a packed decision behind those of the frame, in this order; each 0 or 1."""
-
-CHECKED_COLUMNS = ("observation", "action", "boundary")
-"""Of what was decided; a run ends where one of them is not finite."""
 
 _MOST_SLICES = 8
 """More rows than this, as an accelerator's tile has, are gathered: each slice is compiled anew."""
@@ -116,7 +110,7 @@ def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, 
         seed: in [0, 2³²).
         method_index: see `hitl_jax.runs.method_index`.
     """
-    # As one program: drawn one by one, the keys of a thousand runs take a minute.
+    # As one program: operation by operation, the keys of a thousand runs take half a minute.
     return _run_keys(np.uint32(seed), np.uint32(method_index))
 
 
@@ -238,66 +232,13 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         learn=learn,
         pack_behavior=jax.jit(_pack_behavior),
         seat_behavior=jax.jit(seat_behavior, donate_argnums=0),
-        unpack_behavior=jax.jit(functools.partial(unpack_behavior, agent)),
+        unpack_behavior=jax.jit(functools.partial(_unpack_behavior, agent)),
         boundaries=jax.jit(boundaries),
         pack_train=jax.jit(jax.vmap(pack)),
         restore=jax.jit(restore, donate_argnums=0),
         restore_acting=jax.jit(restore_acting, donate_argnums=0),
         begin_ring=jax.jit(begin_ring, donate_argnums=0),
     )
-
-
-def act_or_begin(
-    agent: Agent,
-    hyper: RunHyper,
-    params: Behavior,
-    state: ActingState,
-    observation: chex.Array,
-    live: chex.Array,
-) -> tuple[ActingState, chex.Array]:
-    """One tick of one run: a step where it is live, else the forgetting before an episode.
-
-    Args:
-        agent: the team.
-        hyper: scalars.
-        params: what acting needs.
-        state: the acting state.
-        observation: s_t, [O].
-        live: whether a step is taken at this tick, bool [].
-
-    Returns:
-        The next acting state, and the packed frame with the decision behind it, [W + 6]: without
-        the reward and the endings, which the plant has yet to tell.
-    """
-    stepped, decision = act(agent, hyper, params, state, observation)
-    begun = begin_episode(agent, state)
-    state = jax.tree.map(functools.partial(jnp.where, live), stepped, begun)
-    zero = jnp.zeros((), jnp.float32)
-    scalars = [zero, zero, zero, 1.0 - live, decision.boundary, decision.next_boundary]
-    scalars += [decision.boundary_reward, *(getattr(decision, name) for name in EXTRA_COLUMNS)]
-    tail = jnp.stack([jnp.asarray(value, jnp.float32) for value in scalars])
-    return state, jnp.concatenate([observation, decision.action, tail])
-
-
-def flags_of(decided: chex.Array, layout: replay.Layout) -> dict[str, chex.Array]:
-    """The flags of `EXTRA_COLUMNS` by name, bool [R], from what acting gave, [R, W + 6]."""
-    return dict(zip(EXTRA_COLUMNS, decided[:, layout.width :].T > 0.5, strict=True))
-
-
-def recorded_steps(
-    decided: np.ndarray, layout: replay.Layout, has_arbiter: np.ndarray
-) -> np.ndarray:
-    """What is recorded of a step (`hitl_jax.recording`), [R, A + 5].
-
-    Args:
-        decided: what acting gave, [R, W + 6].
-        layout: its columns.
-        has_arbiter: whether there is a boundary, bool [R].
-    """
-    flags = flags_of(decided, layout)
-    told = {"boundary": np.where(has_arbiter, decided[:, layout.boundary], np.nan), **flags}
-    columns = [told[name] for name in STEP_COLUMNS]
-    return np.column_stack([decided[:, layout.action], *columns]).astype(np.float32)
 
 
 def act_packed(
@@ -310,8 +251,8 @@ def act_packed(
 ) -> tuple[chex.Array, chex.Array]:
     """`act_or_begin` of one run with acting state, [S], and hyperparameters, [H], packed."""
     before, settings = unpack(_some_acting(agent), state), unpack(_SOME_HYPER, hyper)
-    after, decided = act_or_begin(agent, settings, params, before, observation, live)
-    return pack(after), decided
+    after, packed = act_or_begin(agent, settings, params, before, observation, live)
+    return pack(after), packed
 
 
 def _some_acting(agent: Agent) -> ActingState:
@@ -329,7 +270,7 @@ def _pack_behavior(train: TrainState) -> chex.Array:
     return jnp.concatenate([leaf.reshape(leaf.shape[0], -1) for leaf in leaves], axis=1)
 
 
-def unpack_behavior(agent: Agent, packed: Sequence[chex.Array]) -> Behavior:
+def _unpack_behavior(agent: Agent, packed: Sequence[chex.Array]) -> Behavior:
     """What acting needs of runs, leaves [R, ...], from arrays of some of them, [.., P]."""
     rows = jnp.concatenate(packed)
     like = agents.behavior(jax.eval_shape(lambda: agents.init(agent, make_key(0))))

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax import batch
+from hitl_jax import batch, decisions
 from hitl_jax.agent import Agent
 from hitl_jax.batch import Programs
 from hitl_jax.config import RunHyper
@@ -152,7 +152,7 @@ def _play(
     act = jax.vmap(functools.partial(batch.act_packed, agent))
     active, needs_reset, seeds, left, observation = known
     begun = jnp.zeros_like(left)
-    checked_columns = [getattr(agent.layout, name) for name in batch.CHECKED_COLUMNS]
+    checked_columns = [getattr(agent.layout, name) for name in decisions.CHECKED_COLUMNS]
 
     def one(carry: Any, _: None) -> tuple[Any, tuple[chex.Array, ...]]:
         state, walkers, active, needs_reset, left, begun, observation = carry
@@ -170,7 +170,7 @@ def _play(
         observation = jnp.where((live | begins)[:, None], step.observation, observation)
         reward = jnp.where(live, step.reward, 0.0)
         active = active & jnp.isfinite(reward)
-        human_reset = batch.flags_of(decided, agent.layout)["human_reset"]
+        human_reset = decisions.flags_of(decided, agent.layout)["human_reset"]
         terminated, truncated = live & step.terminated, live & step.truncated
         ended = live & (terminated | truncated | human_reset)
         left = left - ended

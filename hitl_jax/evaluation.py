@@ -8,7 +8,7 @@ from typing import Literal
 import jax
 import numpy as np
 
-from hitl_jax import batch
+from hitl_jax import batch, decisions
 from hitl_jax.acting import ActingState, init_acting
 from hitl_jax.agent import Agent, behavior
 from hitl_jax.config import RunHyper
@@ -21,7 +21,7 @@ from hitl_jax.types import Behavior
 Mode = Literal["autonomous", "assisted"]
 
 Watch = Callable[[np.ndarray, np.ndarray], None]
-"""Called before each step of a test with what was decided, a frame and flags of `hitl_jax.batch`,
+"""Called before each step of a test with what was decided, a frame and flags of `decisions`,
 [N, W + 6], and which walkers take the step, bool [N]."""
 
 _PARTS = 5
@@ -52,7 +52,7 @@ class Evaluator:
         config = dataclasses.replace(agent.config, intervention="takeover")
         self._agent = agent._replace(config=config)
         self._pool = pool
-        step = functools.partial(batch.act_or_begin, self._agent)
+        step = functools.partial(decisions.act_or_begin, self._agent)
         episodes = jax.vmap(step, in_axes=(None, None, 0, 0, 0))
         self._act = jax.jit(jax.vmap(episodes, in_axes=(None, 0, 0, 0, 0)))
         self._init = jax.jit(self._init_acting)
@@ -97,7 +97,7 @@ class Evaluator:
         rows: list[Row | None] = [None] * walkers
         active = np.arange(walkers) < seeds.size
         action = np.zeros((walkers, layout.action_size), np.float32)
-        decided = np.zeros((walkers, layout.width + len(batch.EXTRA_COLUMNS)), np.float32)
+        decided = np.zeros((walkers, layout.width + len(decisions.EXTRA_COLUMNS)), np.float32)
         resets = np.zeros(walkers, np.uint32)
         resets[: seeds.size] = seeds.ravel()
         command = np.where(active, Command.RESET, Command.IDLE).astype(np.uint8)
@@ -117,7 +117,7 @@ class Evaluator:
                 watch(decided, active)
             command = np.where(active, Command.STEP, Command.IDLE).astype(np.uint8)
             answer = self._pool.step(command, decided[:, layout.action], resets)
-            flags = batch.flags_of(decided, layout)
+            flags = decisions.flags_of(decided, layout)
             known = hyper.has_arbiter > 0
             step = Step(
                 live=active,

@@ -20,7 +20,7 @@ from collections.abc import Iterator, Sequence
 import jax
 import numpy as np
 
-from hitl_jax import arbiter, batch, recording
+from hitl_jax import arbiter, batch, decisions, recording
 from hitl_jax.agent import Agent, behavior
 from hitl_jax.config import require, typed
 from hitl_jax.devices import default_tile, learning_devices
@@ -326,7 +326,7 @@ class Rollout:
         for place, tick in enumerate(self._stage.ticks(slots, self._config.chunk)):
             live, decided = slots.live, tick.decided
             if not np.isfinite(decided[live]).all():
-                for name in batch.CHECKED_COLUMNS:
+                for name in decisions.CHECKED_COLUMNS:
                     part = decided[:, getattr(self._layout, name)]
                     self._stop_diverged(name, finite_rows(part) | ~live)
                 live &= slots.active
@@ -351,7 +351,7 @@ class Rollout:
     ) -> None:
         """Books one tick, and writes into its frames, [R, W], what the plant told."""
         layout, config = self._layout, self._agent.config
-        flags = batch.flags_of(decided, layout)
+        flags = decisions.flags_of(decided, layout)
         human_reset = live & flags["human_reset"]
         terminated = answer.terminated | (human_reset & config.human_reset_terminates)
         truncated = (answer.truncated | human_reset) & ~terminated
@@ -380,7 +380,7 @@ class Rollout:
             dangerous=flags["dangerous"],
             boundary=np.where(self._has_arbiter, decided[:, layout.boundary], np.nan),
         )
-        self._log.add(live, batch.recorded_steps(decided, layout, self._has_arbiter))
+        self._log.add(live, decisions.recorded_steps(decided, layout, self._has_arbiter))
         self._slots.needs_reset[:] = False
         for slot, row in self._counter.count(step):
             self._end_episode(slot, row)

@@ -1,0 +1,72 @@
+"""What a tick of a run decided, packed into one row: a frame of the replay, then flags."""
+
+import functools
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hitl_jax.acting import ActingState, act, begin_episode
+from hitl_jax.agent import Agent
+from hitl_jax.config import RunHyper
+from hitl_jax.recording import STEP_COLUMNS
+from hitl_jax.replay import Layout
+from hitl_jax.types import Behavior
+
+EXTRA_COLUMNS = ("control", "began", "human_action", "human_reset", "alarmed", "dangerous")
+"""Columns of a packed decision behind those of the frame, in this order; each 0 or 1."""
+
+CHECKED_COLUMNS = ("observation", "action", "boundary")
+"""Of what was decided; a run ends where one of them is not finite."""
+
+
+def act_or_begin(
+    agent: Agent,
+    hyper: RunHyper,
+    params: Behavior,
+    state: ActingState,
+    observation: chex.Array,
+    live: chex.Array,
+) -> tuple[ActingState, chex.Array]:
+    """One tick of one run: a step where it is live, else the forgetting before an episode.
+
+    Args:
+        agent: the team.
+        hyper: scalars.
+        params: what acting needs.
+        state: the acting state.
+        observation: s_t, [O].
+        live: whether a step is taken at this tick, bool [].
+
+    Returns:
+        The next acting state, and the packed frame with the decision behind it, [W + 6]: without
+        the reward and the endings, which the plant has yet to tell.
+    """
+    stepped, decision = act(agent, hyper, params, state, observation)
+    begun = begin_episode(agent, state)
+    state = jax.tree.map(functools.partial(jnp.where, live), stepped, begun)
+    zero = jnp.zeros((), jnp.float32)
+    scalars = [zero, zero, zero, 1.0 - live, decision.boundary, decision.next_boundary]
+    scalars += [decision.boundary_reward, *(getattr(decision, name) for name in EXTRA_COLUMNS)]
+    tail = jnp.stack([jnp.asarray(value, jnp.float32) for value in scalars])
+    return state, jnp.concatenate([observation, decision.action, tail])
+
+
+def flags_of(decided: chex.Array, layout: Layout) -> dict[str, chex.Array]:
+    """The flags of `EXTRA_COLUMNS` by name, bool [R], from what acting gave, [R, W + 6]."""
+    return dict(zip(EXTRA_COLUMNS, decided[:, layout.width :].T > 0.5, strict=True))
+
+
+def recorded_steps(decided: np.ndarray, layout: Layout, has_arbiter: np.ndarray) -> np.ndarray:
+    """What is recorded of a step (`hitl_jax.recording`), [R, A + 5].
+
+    Args:
+        decided: what acting gave, [R, W + 6].
+        layout: its columns.
+        has_arbiter: whether there is a boundary, bool [R].
+    """
+    flags = flags_of(decided, layout)
+    told = {"boundary": np.where(has_arbiter, decided[:, layout.boundary], np.nan), **flags}
+    columns = [told[name] for name in STEP_COLUMNS]
+    return np.column_stack([decided[:, layout.action], *columns]).astype(np.float32)
