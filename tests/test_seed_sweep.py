@@ -292,7 +292,7 @@ def test_a_missing_extra_is_named(tmp_path, capsys, monkeypatch):
 
 def test_ctrl_c_draws_what_there_is_and_says_how_to_go_on(tmp_path):
     out = tmp_path / "out"
-    with _start("--methods", "srl", "--episodes", "100000", "--out", str(out)) as sweep:
+    with _start("--episodes", "100000", "--out", str(out)) as sweep:
         line = sweep.stdout.readline()
         while "steps/s" not in line:
             assert line, sweep.communicate()[1]
