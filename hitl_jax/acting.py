@@ -133,12 +133,7 @@ def act(
     )
     indicator = agent.indicator(observation)
     alarmed = boundary.alarm(indicator, boundary_now) & (hyper.has_arbiter > 0)
-    after = boundary.next_boundary(
-        boundary_now, alarmed, dangerous, hyper.delta_minus, hyper.delta_plus
-    )
-    after = jnp.clip(after, hyper.boundary_low, hyper.boundary_high)
-    learns = hyper.learns_boundary > 0
-    after = jnp.where(learns, after, boundary_now)
+    after = following(hyper, boundary_now, alarmed, dangerous)
 
     objects = jnp.logical_and(dangerous, hyper.human_present > 0)
     keeps = objects
@@ -158,6 +153,7 @@ def act(
         high=hyper.boundary_high,
     )
     source = boundary.get_source(agent.config.boundary_source)
+    learns = hyper.learns_boundary > 0
     carry = jnp.where(learns, source.advance(state.boundary, move), state.boundary)
 
     hands = human_actions.with_noise(agent.source, hyper.human_action_noise)
@@ -186,6 +182,24 @@ def act(
         arbiter=arbiter_state,
     )
     return state, decision
+
+
+def following(
+    hyper: RunHyper, boundary_now: chex.Array, alarmed: chex.Array, dangerous: chex.Array
+) -> chex.Array:
+    """τ_{t+1} of line 8 within the run's bounds, []; τ_t where the boundary is fixed.
+
+    Args:
+        hyper: the run's hyperparameters, scalars.
+        boundary_now: τ_t, [].
+        alarmed: C, bool [].
+        dangerous: h_t = 0, bool [].
+    """
+    after = boundary.next_boundary(
+        boundary_now, alarmed, dangerous, hyper.delta_minus, hyper.delta_plus
+    )
+    after = jnp.clip(after, hyper.boundary_low, hyper.boundary_high)
+    return jnp.where(hyper.learns_boundary > 0, after, boundary_now)
 
 
 def _explore(

@@ -326,6 +326,16 @@ class LeanWalkers:
         if played.size:
             self._answer(arrays, played, stepped[played], strength[played])
 
+    def terrain(self, index: int) -> tuple[list[float], list[float]]:
+        """Corners of a walker's ground: places along it and heights [m]."""
+        walker = self._walkers[index]
+        return list(walker.terrain_x), list(walker.terrain_y)
+
+    def bodies(self, index: int) -> list[tuple[float, float, float]]:
+        """Place [m] and angle [rad] of a walker's hull, thigh, shin, thigh and shin."""
+        walker = self._walkers[index]
+        return [(*body.position, body.angle) for body in (walker.hull, *walker.legs)]
+
     def _answer(
         self, arrays: SharedArrays, played: np.ndarray, stepped: np.ndarray, strength: np.ndarray
     ) -> None:

@@ -1,0 +1,94 @@
+"""What a person may say to a session, as it comes from a page and stands in a journal."""
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from hitl_jax.live.session import Session
+
+SPEEDS = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""Factors of real time; None is as fast as the machine can."""
+
+Command = dict[str, Any]
+"""`type`, and the fields that it needs."""
+
+_FIELDS: dict[str, dict[str, type]] = {
+    "danger": {"down": bool, "frame": int},
+    "safe": {"frame": int},
+    "take": {"frame": int},
+    "let_go": {"frame": int},
+    "hands": {"action": list},
+    "assist": {"on": bool},
+    "undo": {},
+    "pause": {"on": bool},
+    "step": {},
+    "speed": {"factor": float},
+}
+JUDGING = ("danger", "safe", "take", "let_go", "hands", "assist", "undo")
+"""What changes the session; the others change how fast it is shown."""
+
+
+def parse(text: str | bytes) -> Command:
+    """A command of a message.
+
+    Args:
+        text: JSON, an object.
+
+    Raises:
+        ValueError: one line, if it is none.
+    """
+    try:
+        said = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ValueError("a message: is not JSON") from error
+    if not isinstance(said, dict) or said.get("type") not in list(_FIELDS):
+        raise ValueError(f"a message: its type must be one of {', '.join(_FIELDS)}")
+    kind = said["type"]
+    fields = {name: _field(kind, name, said.get(name)) for name in _FIELDS[kind]}
+    return {"type": kind, **fields}
+
+
+def _field(kind: str, name: str, value: Any) -> Any:
+    wanted = _FIELDS[kind][name]
+    if wanted is float:
+        if value is None or (value in SPEEDS and not isinstance(value, bool)):
+            return value
+        raise ValueError(f"{kind}: factor must be null or one of {', '.join(map(str, SPEEDS))}")
+    if type(value) is not wanted:
+        raise ValueError(f"{kind}: {name} must be of type {wanted.__name__}")
+    if isinstance(value, list) and not all(_is_number(one) for one in value):
+        raise ValueError(f"{kind}: {name} must be numbers")
+    return value
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and math.isfinite(value)
+
+
+def apply(session: Session, said: Mapping[str, Any]) -> dict[str, Any]:
+    """Does to a session what a person said.
+
+    Args:
+        session: before its next step.
+        said: of `JUDGING`.
+
+    Returns:
+        What the journal keeps beside it: the label that was taken back.
+
+    Raises:
+        ValueError: one line, where it cannot be done.
+    """
+    kind = said["type"]
+    if kind == "danger":
+        session.danger(said["down"], said["frame"])
+    elif kind in ("safe", "take", "let_go"):
+        getattr(session, kind)(said["frame"])
+    elif kind == "hands":
+        session.move(said["action"])
+    elif kind == "assist":
+        session.assist(said["on"])
+    elif kind == "undo":
+        label = session.undo()
+        return {"label": None if label is None else vars(label)}
+    return {}

@@ -1,0 +1,302 @@
+"""Gives a session its pace, and tells all who watch; one task of one event loop, no threads."""
+
+import asyncio
+import contextlib
+import statistics
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from hitl_jax.indicator import INDICATORS
+from hitl_jax.live import commands
+from hitl_jax.live.journal import Journal
+from hitl_jax.live.plant import FEET, LIDAR, shapes
+from hitl_jax.live.session import Session
+
+RATE = 50.0
+"""Steps a second of real time."""
+
+_SLICE = 0.015
+"""For how long a session that is to be quick plays before others have their turn [s]."""
+_STATUS_EVERY = 0.25
+_SHOWN = 2000
+_UNITS = {"hull_angle": "rad", "hull_angular_velocity": "1", "weighted": "rad"}
+
+Message = dict[str, Any]
+
+
+class Manners(NamedTuple):
+    """How a session is shown.
+
+    Attributes:
+        mode: `train`, `test` or `watch`.
+        title: for people.
+        asks: whether the walker stops and asks where an alarm begins.
+        answer_seconds: how long it waits for an answer; then it goes on as if that were "safe".
+    """
+
+    mode: str
+    title: str
+    asks: bool
+    answer_seconds: float
+
+
+class Conductor:
+    """Plays a session in time; see the module."""
+
+    def __init__(
+        self,
+        session: Session,
+        journal: Journal,
+        manners: Manners,
+        clock: Callable[[], float] = time.monotonic,
+    ):
+        """Takes a session over; `run` plays it.
+
+        Args:
+            session: what is played.
+            journal: where all of it is noted.
+            manners: how it is shown.
+            clock: seconds that only grow.
+        """
+        self._session, self._journal, self._manners, self._clock = session, journal, manners, clock
+        self._listeners: list[Callable[[Message], None]] = []
+        self._paused = False
+        self._away = True
+        self._steps_due = 0
+        self._speed: float | None = 1.0
+        self._asked: int | None = None
+        self._left = 0.0
+        self._answered = False
+        self._woken = asyncio.Event()
+        self._shown: dict[int, float] = {}
+        self._reactions: list[float] = []
+        self._alarm_since: float | None = None
+        self._recent: deque[float] = deque(maxlen=int(RATE))
+        self.watchers = 0
+
+    # Who watches.
+
+    def listen(self, listener: Callable[[Message], None]) -> None:
+        """Tells somebody everything from now on, and first where things stand."""
+        self._listeners.append(listener)
+        self.watchers = len(self._listeners)
+        for message in (self._hello(), self._history(), self._terrain(), self._frame()):
+            listener(message)
+        self._tell(self._status())
+
+    def forget(self, listener: Callable[[Message], None]) -> None:
+        """Tells somebody no more."""
+        self._listeners.remove(listener)
+        self.watchers = len(self._listeners)
+        self._tell(self._status())
+
+    def leave(self) -> None:
+        """The person has gone: nothing is played until somebody comes."""
+        self._away = True
+        session = self._session
+        if session.setup.with_person:
+            number = session.frame.number
+            if session.dangerous:
+                self.say({"type": "let_go", "frame": number})
+            self.say({"type": "hands", "action": [0.0] * 4})
+            self.say({"type": "assist", "on": False})
+        self._tell(self._status())
+
+    def come(self) -> None:
+        """A person is there: it goes on as it was."""
+        self._away = False
+        self._woken.set()
+        self._tell(self._status())
+
+    # What the person says.
+
+    def say(self, command: commands.Command) -> None:
+        """Does what a person said, and notes it.
+
+        Raises:
+            ValueError: one line, where it cannot be done.
+        """
+        session, kind = self._session, command["type"]
+        self._journal.said(session, command)
+        if kind == "pause":
+            self._paused = command["on"]
+        elif kind == "step":
+            self._steps_due += self._paused
+        elif kind == "speed":
+            self._speed = command["factor"]
+        elif kind in ("danger", "take", "safe") and command.get("down", True):
+            self._react(command["frame"])
+            self._answer()
+        self._woken.set()
+        self._tell(self._status())
+        if self._waits():
+            self._tell(self._frame())
+
+    def _react(self, number: int) -> None:
+        """How long after the alarm was first seen it was answered."""
+        seen = self._shown.get(number)
+        if self._alarm_since is not None and seen is not None:
+            self._reactions.append(1000 * max(self._clock() - self._alarm_since, 0.0))
+            self._alarm_since = None
+
+    # Time.
+
+    async def run(self) -> None:
+        """Plays for ever; ends when it is cancelled."""
+        due = told = self._clock()
+        while True:
+            if self._waits():
+                due = await self._wait()
+            else:
+                self._play(until=self._clock() + _SLICE if self._speed is None else None)
+                due = self._next(due)
+                await asyncio.sleep(max(due - self._clock(), 0.0))
+            if self._clock() - told >= _STATUS_EVERY:
+                told = self._clock()
+                self._tell(self._status())
+
+    def _waits(self) -> bool:
+        held = self._paused and not self._steps_due
+        return self._away or held or self._asked is not None
+
+    async def _wait(self) -> float:
+        """Waits for a command, and counts down while it asks; when the next step is due."""
+        before = self._clock()
+        self._woken.clear()
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._woken.wait(), _STATUS_EVERY)
+        if self._asked is not None and not self._paused and not self._away:
+            self._left -= self._clock() - before
+            if self._left <= 0:
+                self.say({"type": "safe", "frame": self._asked})
+        return self._clock()
+
+    def _next(self, due: float) -> float:
+        """When the step after the one that was due is to be made; time that was lost is lost."""
+        if self._speed is None:
+            return self._clock()
+        period = 1.0 / (RATE * self._speed)
+        return max(due + period, self._clock() - period)
+
+    def _play(self, until: float | None) -> None:
+        """A step, or as many as can be made until then, and shows the last."""
+        while True:
+            self._step()
+            if self._waits() or until is None or self._clock() >= until:
+                break
+        self._tell(self._frame())
+
+    def _step(self) -> None:
+        session = self._session
+        self._steps_due = max(self._steps_due - 1, 0)
+        row = session.tick()
+        self._journal.played(session)
+        self._recent.append(self._clock())
+        frame = session.frame
+        if row is not None:
+            self._tell({"type": "episode", **_shown_row(row)})
+        if frame.step == 0 and not frame.ended:
+            self._tell(self._terrain())
+        if not frame.alarmed:
+            self._answered, self._alarm_since = False, None
+        elif not self._answered and self._alarm_since is None and not session.controls:
+            self._alarm_since = self._clock()
+            self._answered = True
+            if self._manners.asks:
+                self._asked, self._left = frame.number, self._manners.answer_seconds
+
+    def _answer(self) -> None:
+        self._asked = None
+
+    # What is told.
+
+    def _tell(self, message: Message) -> None:
+        for listener in list(self._listeners):
+            listener(message)
+
+    def _hello(self) -> Message:
+        setup, manners = self._session.setup, self._manners
+        name = setup.agent.config.indicator
+        return {
+            "type": "hello",
+            "mode": manners.mode,
+            "title": manners.title,
+            "indicator": name if name in INDICATORS else "indicator",
+            "unit": _UNITS.get(name, "1"),
+            "span": 1.0,
+            "rate": RATE,
+            "intervention": setup.agent.config.intervention,
+            "asks": manners.asks,
+            "answer_seconds": manners.answer_seconds,
+            "no_answer": "Without an answer it counts as safe, and the walker goes on.",
+            **shapes(),
+        }
+
+    def _history(self) -> Message:
+        rows = [_shown_row(row) for row in self._session.episodes]
+        return {"type": "history", "episodes": rows}
+
+    def _terrain(self) -> Message:
+        frame = self._session.frame
+        return {"type": "terrain", "episode": frame.episode, **self._session.plant.terrain()}
+
+    def _frame(self) -> Message:
+        session = self._session
+        frame = session.frame
+        self._shown[frame.number] = self._clock()
+        if len(self._shown) > _SHOWN:
+            del self._shown[next(iter(self._shown))]
+        watched = not session.setup.with_person
+        before = max(frame.number - 1, 0)
+        simulated = watched and session.flag("control", before)
+        judged = session.flag("dangerous", before) if watched else session.dangerous
+        control = "person" if session.controls else "human" if simulated else "machine"
+        return {
+            "type": "frame",
+            "n": frame.number,
+            "episode": frame.episode,
+            "step": frame.step,
+            "bodies": session.plant.bodies(),
+            "lidar": [round(float(share), 4) for share in frame.observation[LIDAR]],
+            "feet": [bool(frame.observation[foot]) for foot in FEET],
+            "c": round(frame.indicator, 4),
+            "tau": round(frame.boundary, 4) if session.setup.hyper.has_arbiter else None,
+            "alarm": frame.alarmed,
+            "danger": judged,
+            "control": control,
+            "return": round(session.returned, 2),
+            "interventions": session.interventions,
+            "steps": session.env_steps,
+        }
+
+    def _status(self) -> Message:
+        session, recent, reactions = self._session, self._recent, self._reactions
+        moving = len(recent) > 1 and not self._waits()
+        asking = None if self._asked is None else {"frame": self._asked, "left": self._left}
+        return {
+            "type": "status",
+            "paused": self._paused or self._away,
+            "speed": self._speed,
+            "asking": asking,
+            "watchers": max(self.watchers - 1, 0),
+            "labels": len(session.labels),
+            "reaction_ms": round(reactions[-1]) if reactions else None,
+            "median_reaction_ms": round(statistics.median(reactions)) if reactions else None,
+            "rate": round((len(recent) - 1) / (recent[-1] - recent[0]), 1) if moving else 0.0,
+            "learner": f"{session.updates:,} updates",
+            "danger_held": session.dangerous and not session.controls,
+        }
+
+
+def _shown_row(row: dict[str, Any]) -> Message:
+    ends = {"human-reset": "human", "time-limit": "time limit"}
+    return {
+        "episode": row["episode"],
+        "return": round(row["return"], 2),
+        "boundary": round(row["final_boundary"], 4),
+        "interventions": row["interventions"],
+        "length": row["length"],
+        "end": ends.get(row["end"], row["end"]),
+    }

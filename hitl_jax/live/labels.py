@@ -1,0 +1,83 @@
+"""Labels: which frames a person judged dangerous, and what line 8 makes of them afterwards.
+
+A label names the frames that the person saw, and often comes some frames later. So the boundary
+is computed again from the first of them; alarms stay as they were raised.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hitl_jax import boundary
+from hitl_jax.acting import following
+from hitl_jax.config import RunHyper
+
+KINDS = ("danger", "safe", "take")
+"""Held or tapped "danger", "safe", and control that the person took."""
+
+
+@dataclasses.dataclass
+class Label:
+    """What a person said about a stretch of frames.
+
+    Attributes:
+        number: counts the labels of a session.
+        kind: one of `KINDS`.
+        first: its first frame.
+        last: its last frame; None while it goes on.
+        came: the frame at which it arrived.
+    """
+
+    number: int
+    kind: str
+    first: int
+    last: int | None
+    came: int
+
+
+def judged(labels: Sequence[Label], first: int, stop: int) -> np.ndarray:
+    """Whether each frame of [first, stop) was judged dangerous, bool [stop - first]."""
+    dangerous = np.zeros(max(stop - first, 0), bool)
+    for label in labels:
+        if label.kind != "safe":
+            end = stop if label.last is None else label.last + 1
+            dangerous[max(label.first - first, 0) : max(end - first, 0)] = True
+    return dangerous
+
+
+def moved(
+    hyper: RunHyper,
+    start: chex.Array,
+    alarmed: chex.Array,
+    dangerous: chex.Array,
+    live: chex.Array,
+) -> tuple[chex.Array, chex.Array, chex.Array]:
+    """Line 8 along K frames of the source `rule`.
+
+    Args:
+        hyper: the run's hyperparameters, scalars.
+        start: τ at the first frame, [].
+        alarmed: C of each frame as it was raised, bool [K].
+        dangerous: h_t = 0, bool [K].
+        live: whether a step was taken from the frame, bool [K].
+
+    Returns:
+        τ_t, τ_{t+1} and r'_t of each frame, [K] each. From a frame without a step the boundary does
+        not move.
+    """
+
+    def one(
+        now: chex.Array, frame: tuple[chex.Array, chex.Array, chex.Array]
+    ) -> tuple[chex.Array, tuple[chex.Array, chex.Array, chex.Array]]:
+        alarm, danger, step = frame
+        after = following(hyper, now, alarm, danger)
+        reward = boundary.boundary_reward(alarm, danger, hyper.alarm_reward)
+        return jnp.where(step, after, now), (now, after, reward)
+
+    _, columns = jax.lax.scan(one, jnp.asarray(start, jnp.float32), (alarmed, dangerous, live))
+    result: tuple[chex.Array, chex.Array, chex.Array] = columns
+    return result

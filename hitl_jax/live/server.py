@@ -1,0 +1,212 @@
+"""The page and its socket, for browsers on this machine: one who controls, any number who watch."""
+
+import asyncio
+import contextlib
+import json
+import pathlib
+import secrets
+import time
+from collections.abc import AsyncIterator
+
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+
+from hitl_jax.live import commands
+from hitl_jax.live.conductor import Conductor, Message
+
+LONGEST_MESSAGE = 4096
+"""Of what a page may send [bytes]."""
+
+MOST_MESSAGES = 200
+"""That a page may send in a second."""
+
+_PATIENCE = 20
+_PAGE = pathlib.Path(__file__).parent / "page"
+_HOSTS = ("127.0.0.1", "localhost", "[::1]")
+_REFUSED, _TOO_MANY, _SLOW, _FOREIGN = 4403, 4429, 4408, 4400
+_WAITING = 500
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'self'; frame-ancestors 'none'; base-uri 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+}
+
+
+class Outbox:
+    """What waits to be sent to one page: of frames the newest alone, of all else everything."""
+
+    def __init__(self) -> None:
+        """Nothing waits yet."""
+        self._others: list[Message] = []
+        self._frame: Message | None = None
+        self._filled = asyncio.Event()
+        self.slow = False
+
+    def put(self, message: Message) -> None:
+        """Adds a message; does not wait."""
+        if message["type"] == "frame":
+            self._frame = message
+        elif message["type"] == "status" and self._others and self._others[-1]["type"] == "status":
+            self._others[-1] = message
+        elif not self.slow:
+            self._others.append(message)
+            self.slow = len(self._others) > _WAITING
+        self._filled.set()
+
+    async def take(self) -> list[Message]:
+        """All that waits, once there is something."""
+        await self._filled.wait()
+        self._filled.clear()
+        messages, self._others = self._others, []
+        if self._frame is not None:
+            messages.append(self._frame)
+            self._frame = None
+        return messages
+
+
+class Rate:
+    """Counts messages: so many a second, and as many at once."""
+
+    def __init__(self, most: float):
+        """Begins with all that is allowed at once."""
+        self._most = self._left = most
+        self._then = time.monotonic()
+
+    def allows(self) -> bool:
+        """Whether one more may come now."""
+        now = time.monotonic()
+        self._left = min(self._left + (now - self._then) * self._most, self._most)
+        self._then = now
+        allowed = self._left >= 1
+        self._left -= allowed
+        return allowed
+
+
+class Live:
+    """The server of one session."""
+
+    def __init__(self, conductor: Conductor, token: str, port: int):
+        """Keeps what it serves.
+
+        Args:
+            conductor: of the session.
+            token: that the address must carry.
+            port: it listens on, on this machine alone.
+        """
+        self._conductor, self._token = conductor, token
+        self._origins = {f"http://{host}:{port}" for host in _HOSTS}
+        self._controller: WebSocket | None = None
+
+    def app(self) -> Starlette:
+        """The application; it plays the session for as long as it is served."""
+
+        @contextlib.asynccontextmanager
+        async def lifespan(_: Starlette) -> AsyncIterator[None]:
+            playing = asyncio.create_task(self._conductor.run())
+            try:
+                yield
+            finally:
+                playing.cancel()
+                with contextlib.suppress(asyncio.CancelledError):
+                    await playing
+
+        files = [Route(f"/{path.name}", self._file) for path in _PAGE.iterdir() if path.is_file()]
+        return Starlette(
+            routes=[
+                Route("/", self._page),
+                *files,
+                Route("/favicon.ico", _nothing),
+                WebSocketRoute("/socket", self._socket),
+            ],
+            middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=list(_HOSTS))],
+            lifespan=lifespan,
+        )
+
+    def _knows(self, token: str | None) -> bool:
+        return secrets.compare_digest((token or "").encode(), self._token.encode())
+
+    async def _page(self, request: Request) -> Response:
+        if not self._knows(request.query_params.get("token")):
+            said = (
+                "This page needs the whole address that experiments.live printed, with its token."
+            )
+            return PlainTextResponse(said, 403, headers=_HEADERS)
+        return FileResponse(_PAGE / "index.html", headers=_HEADERS)
+
+    async def _file(self, request: Request) -> Response:
+        return FileResponse(_PAGE / request.url.path.lstrip("/"), headers=_HEADERS)
+
+    async def _socket(self, socket: WebSocket) -> None:
+        origin = socket.headers.get("origin")
+        await socket.accept()
+        if origin is not None and origin not in self._origins:
+            await socket.close(_FOREIGN, "another site's page may not speak to this session")
+            return
+        if not self._knows(socket.query_params.get("token")):
+            await socket.close(
+                _REFUSED, "the address needs the token that experiments.live printed"
+            )
+            return
+        outbox = Outbox()
+        controls = self._controller is None
+        role = "controller" if controls else "watcher"
+
+        def listener(message: Message) -> None:
+            outbox.put({**message, "role": role} if message["type"] == "hello" else message)
+
+        self._conductor.listen(listener)
+        if controls:
+            self._controller = socket
+            self._conductor.come()
+        sending = asyncio.create_task(_send(socket, outbox))
+        try:
+            await self._hear(socket, outbox, controls)
+        except (WebSocketDisconnect, RuntimeError):
+            pass
+        finally:
+            sending.cancel()
+            self._conductor.forget(listener)
+            if controls:
+                self._controller = None
+                self._conductor.leave()
+
+    async def _hear(self, socket: WebSocket, outbox: Outbox, controls: bool) -> None:
+        """Does what a page says until it goes or is sent away."""
+        rate, wrong = Rate(MOST_MESSAGES), 0
+        while True:
+            text = await socket.receive_text()
+            if not rate.allows():
+                reason = f"more than {MOST_MESSAGES} messages a second"
+                await socket.close(_TOO_MANY, reason)
+                return
+            try:
+                command = commands.parse(text)
+                if not controls:
+                    raise ValueError("somebody else controls this session; you can watch")
+                self._conductor.say(command)
+            except ValueError as error:
+                wrong += 1
+                outbox.put({"type": "error", "message": str(error)})
+            if wrong > _PATIENCE:
+                await socket.close(_FOREIGN, f"more than {_PATIENCE} messages that mean nothing")
+                return
+
+
+async def _nothing(_: Request) -> Response:
+    return Response(status_code=204)
+
+
+async def _send(socket: WebSocket, outbox: Outbox) -> None:
+    """Sends what waits; one who is too slow is sent away, and holds nobody up."""
+    with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+        while socket.application_state is WebSocketState.CONNECTED:
+            for message in await outbox.take():
+                await socket.send_text(json.dumps(message, separators=(",", ":")))
+            if outbox.slow:
+                await socket.close(_SLOW, "this page is too slow for the session")

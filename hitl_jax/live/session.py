@@ -1,0 +1,461 @@
+"""One run that a person watches and helps: a machine that time does not enter.
+
+What a session becomes follows from its setup and from what the person does at which frame, and from
+nothing else: not from the clock, the pace, or when the learner was ready. So its journal plays it
+again to the last bit.
+
+Frame n is the state s_n before the step from it. A person's label names the frame that they saw; it
+changes line 8 from that frame on, and what the replay holds of it, however late it comes. What has
+been played stays as it was: alarms, control, steps.
+"""
+
+import dataclasses
+import functools
+import zlib
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hitl_jax import agent as agents
+from hitl_jax import batch, boundary, decisions
+from hitl_jax.acting import ActingState, begin_episode, init_acting
+from hitl_jax.agent import Agent
+from hitl_jax.config import Method, RunHyper, typed
+from hitl_jax.devices import acting_device
+from hitl_jax.episodes import EpisodeCounter, Row, Step
+from hitl_jax.live import person
+from hitl_jax.live.books import Books
+from hitl_jax.live.labels import Label, judged
+from hitl_jax.live.learning import Learning
+from hitl_jax.live.plant import Answer, Plant
+from hitl_jax.runs import LoopConfig, episode_seed, method_index
+from hitl_jax.types import Behavior, Params, TrainState
+
+
+class Setup(NamedTuple):
+    """What a session begins with.
+
+    Attributes:
+        agent: the team; with a person, one of `person.judge` and `person.hands`.
+        hyper: the run's hyperparameters, host scalars.
+        loop: how much it learns.
+        method: whose episodes are played.
+        seed: of the run.
+        with_person: whether a person judges.
+        learns: whether it trains; else a trained walker is tested.
+        start: networks to begin with, as `checkpoint.unflatten` gives them; None is from scratch.
+    """
+
+    agent: Agent
+    hyper: RunHyper
+    loop: LoopConfig
+    method: Method
+    seed: int
+    with_person: bool
+    learns: bool
+    start: dict[str, Params] | None = None
+
+
+class Frame(NamedTuple):
+    """The state before a step, as a person sees it.
+
+    Attributes:
+        number: n.
+        episode: counted from 1.
+        step: of the episode, counted from 0.
+        observation: s_n, [O].
+        indicator: c_n.
+        boundary: τ_n.
+        alarmed: C of this state.
+        ended: whether the episode is over, and a reset comes next.
+    """
+
+    number: int
+    episode: int
+    step: int
+    observation: np.ndarray
+    indicator: float
+    boundary: float
+    alarmed: bool
+    ended: bool
+
+
+class Session:
+    """Plays one run step by step.
+
+    Attributes:
+        setup: what it began with.
+        plant: the walker.
+        labels: what the person said and did not take back.
+        episodes: a row for each episode that has ended.
+        env_steps: steps so far.
+        interventions: of this episode.
+        returned: return of this episode so far.
+    """
+
+    def __init__(self, setup: Setup):
+        """Begins the first episode; compiles.
+
+        Raises:
+            ValueError: one line, if networks to begin with are not this team's.
+        """
+        agent = setup.agent
+        self.setup = setup
+        self.plant = Plant()
+        self._hyper = typed(setup.hyper)
+        learning, acting, _ = batch.run_keys(setup.seed, method_index(setup.method))
+        train = agents.init(agent, learning)
+        state = init_acting(agent, self._hyper, acting)
+        if setup.start is not None:
+            train = _started(train, setup.start)
+            state = dataclasses.replace(state, boundary=np.float32(setup.start["boundary"]))
+        self._device = acting_device()
+        self._acting: ActingState = jax.device_put(state, self._device)
+        self._boundary = np.float32(state.boundary)
+        self._learning = Learning(agent, self._hyper, setup.loop, train)
+        self._behavior = self._learned()
+        self._books = Books(agent, self._hyper, setup.loop.frames, setup.with_person)
+        self._counter = EpisodeCounter(1)
+        self.labels: list[Label] = []
+        self._said = 0
+        self._heard = False
+        self._controls: int | None = None
+        self._action = np.zeros(agent.layout.action_size, np.float32)
+        self._assisted = False
+        self.episodes: list[Row] = []
+        self.env_steps = 0
+        self._tick = self._step = 0
+        self._new_episode()
+        self._compile()
+
+    # What the person sees.
+
+    @property
+    def frame(self) -> Frame:
+        """The state that the next step begins with."""
+        return Frame(
+            number=self._tick,
+            episode=len(self.episodes) + (not self._ended),
+            step=self._step,
+            observation=self._observation,
+            indicator=self._indicator,
+            boundary=float(self._boundary),
+            alarmed=self._alarmed and not self._ended,
+            ended=self._ended,
+        )
+
+    @property
+    def controls(self) -> bool:
+        """Whether the person has the controls."""
+        return self._controls is not None
+
+    @property
+    def dangerous(self) -> bool:
+        """Whether the person judges the state that comes next to be dangerous."""
+        return self.controls or bool(judged(self.labels, self._tick, self._tick + 1)[0])
+
+    @property
+    def updates(self) -> int:
+        """Of the task learner."""
+        return self._learning.updates
+
+    def flag(self, name: str, number: int) -> bool:
+        """A flag of a frame that has been played: `alarmed`, `dangerous`, `control`."""
+        return self._books.flag(name, number)
+
+    # What the person does, before the step from the frame that comes next.
+
+    def danger(self, down: bool, number: int) -> None:
+        """Begins or ends a judgement of danger with the frame that was seen.
+
+        Raises:
+            ValueError: in one line, where there is no such frame or no person.
+        """
+        self._require(number)
+        if not down:
+            self._end("danger", number + 1)
+        elif not self.dangerous:
+            self._say("danger", number)
+            self._heard = True  # By the arbiter, also where it ends before the next step.
+
+    def safe(self, number: int) -> None:
+        """Judges a frame safe; what goes on ends before it."""
+        self.let_go(number)
+        self._say("safe", number)
+        self.labels[-1].last = number
+
+    def take(self, number: int) -> None:
+        """Takes the controls, which is a judgement of danger until they are let go."""
+        self._require(number)
+        if self.setup.agent.config.intervention != "takeover":
+            raise ValueError("taking over: this session's intervention is not a takeover")
+        if not self.controls:
+            self._say("take", number)
+            self._controls = self.labels[-1].number
+
+    def let_go(self, number: int) -> None:
+        """Gives the controls back; a judgement of danger that goes on ends before the frame."""
+        self._require(number)
+        self._end("take", number)
+        self._end("danger", number)
+
+    def move(self, action: list[float]) -> None:
+        """What the person's keys ask of hips and knees from now on, [A] in [-1, 1]."""
+        values = np.asarray(action, np.float32)
+        if values.shape != self._action.shape or not (np.abs(values) <= 1).all():
+            raise ValueError("hands: must be four numbers from -1 to 1")
+        self._action = values
+
+    def assist(self, on: bool) -> None:
+        """Whether the assistant walks while the person has the controls."""
+        self._assisted = on
+
+    def undo(self) -> Label | None:
+        """Takes the last label back, with what it moved and what it cost; None if there is none."""
+        if not self.labels:
+            return None
+        label = self.labels.pop()
+        self._heard = False
+        if self._controls == label.number:
+            self._controls = None
+        self._judge_again(label.first)
+        return label
+
+    # Time.
+
+    def tick(self) -> Row | None:
+        """Plays the step from the frame that comes next, or the reset after an episode.
+
+        Returns:
+            A row, if an episode ended.
+        """
+        row = None
+        if self._ended:
+            self._books.note_reset(self._tick, self._observation)
+            self._acting = _begin(self.setup.agent, self._acting)
+            self._tick += 1
+            self._new_episode()
+        else:
+            row = self._play()
+        if self._tick % self.setup.loop.chunk == 0 and self.setup.learns:
+            self._end_chunk()
+        return row
+
+    def digest(self) -> str:
+        """A checksum of where the session is: equal digests, equal sessions."""
+        code = zlib.crc32(self._books.frames(self._oldest_of_chunk(), self._tick).tobytes())
+        leaves = [self._observation, np.float32(self._boundary), *jax.tree.leaves(self._behavior)]
+        for leaf in leaves:
+            code = zlib.crc32(np.asarray(leaf).tobytes(), code)
+        return f"{code:08x}"
+
+    def actions(self, first: int, stop: int) -> np.ndarray:
+        """The executed actions of frames [first, stop), float32 [.., A]; zeros at resets."""
+        return self._books.frames(first, stop)[:, self.setup.agent.layout.action]
+
+    def stored(self) -> tuple[np.ndarray, np.ndarray]:
+        """The frames as booked, and as the learner has them, [T, W] each."""
+        done = self._tick - self._tick % self.setup.loop.chunk
+        first = max(self._tick - self._books.size, 0)
+        places = self._books.places(first, done)
+        return self._books.frames(first, done), self._learning.stored()[places]
+
+    def networks(self) -> tuple[TrainState, np.ndarray]:
+        """What was learned, and the boundary: for `checkpoint.flatten`."""
+        return self._learning.train(), np.asarray(self._boundary)
+
+    def _play(self) -> Row | None:
+        number, layout = self._tick, self.setup.agent.layout
+        self._acting, packed = self._act(self._acting)
+        decided = np.asarray(packed)
+        flags = {n: bool(v) for n, v in decisions.flags_of(decided[None], layout).items()}
+        answer = self.plant.step(decided[layout.action])
+        self._books.note_step(number, decided[: layout.width], flags, answer)
+        if self.setup.with_person and flags["control"]:
+            flags["began"] = self._credit(number, flags["human_action"])
+        self._books.settle(self.labels, number, number + 1)
+        self._tick += 1
+        self.env_steps += 1
+        self._step += 1
+        self._observation = answer.observation
+        self._boundary = np.float32(decided[layout.next_boundary])
+        self._ended = answer.terminated or answer.truncated or flags["human_reset"]
+        row = self._count(number, flags, answer)
+        if self._heard:
+            self._heard = False
+            self._judge_again(number)
+        self._look()
+        return row
+
+    def _told(self) -> person.Told:
+        return person.Told(
+            dangerous=np.asarray(self.dangerous or self._heard),
+            takes=np.asarray(self.controls),
+            assisted=np.asarray(self._assisted),
+            action=self._action,
+            boundary=self._boundary,
+        )
+
+    def _credit(self, number: int, human_action: bool) -> bool:
+        """Notes by which label the person has control; whether it began at this frame.
+
+        Where the arbiter gives a person the controls, they keep them until they let go.
+        """
+        if self._controls is None:
+            label = next(said for said in reversed(self.labels) if said.kind != "safe")
+            if human_action:
+                label.kind, label.last = "take", None
+                self._controls = label.number
+            self._books.credit(number, label.number)
+        else:
+            self._books.credit(number, self._controls)
+        return self._step == 0 or self._books.label_of(number) != self._books.label_of(number - 1)
+
+    def _count(self, number: int, flags: dict[str, bool], answer: Answer) -> Row | None:
+        layout = self.setup.agent.layout
+        [frame] = self._books.frames(number, number + 1)
+        told = {
+            "live": True,
+            "reward": answer.reward,
+            "shaped": frame[layout.reward],
+            "terminated": answer.terminated,
+            "truncated": answer.truncated,
+            "boundary": frame[layout.boundary],
+        }
+        step = Step(**{name: np.array([value]) for name, value in (flags | told).items()})
+        self.interventions += flags["began"]
+        self.returned += answer.reward
+        rows = self._counter.count(step)
+        if not rows:
+            return None
+        row: Row = {"episode": len(self.episodes) + 1, "env_steps": self.env_steps, **rows[0][1]}
+        self.episodes.append(row)
+        return row
+
+    def _new_episode(self) -> None:
+        seed = episode_seed(self.setup.method, self.setup.seed, len(self.episodes))
+        self._observation = self.plant.reset(seed)
+        self._step, self._ended = 0, False
+        self.interventions, self.returned = 0, 0.0
+        self._look()
+
+    def _look(self) -> None:
+        """What the gauge shows of the state that comes next."""
+        indicator, alarmed = _see(self.setup.agent, self._observation, self._boundary)
+        self._indicator = float(indicator)
+        self._alarmed = bool(alarmed) and self.setup.hyper.has_arbiter > 0
+
+    def _end_chunk(self) -> None:
+        needed = max(2 * self.setup.loop.chunk, self.setup.agent.config.n_step + 2)
+        warm = max(self.setup.hyper.warmup_steps, needed)
+        chunk = self._books.frames(self._oldest_of_chunk(), self._tick)
+        self._learning.end_chunk(chunk, self._tick >= warm)
+        self._behavior = self._learned()
+
+    def _oldest_of_chunk(self) -> int:
+        return max((self._tick - 1) // self.setup.loop.chunk, 0) * self.setup.loop.chunk
+
+    def _learned(self) -> Behavior:
+        placed: Behavior = jax.device_put(self._learning.behavior, self._device)
+        return placed
+
+    # Labels.
+
+    def _require(self, number: int) -> None:
+        if not self.setup.with_person:
+            raise ValueError("a judgement: nobody is asked in this session")
+        oldest = max(self._tick - self._books.size + 1, 0)
+        if not oldest <= number <= self._tick:
+            raise ValueError(f"frame {number}: must be from {oldest} to {self._tick}")
+
+    def _say(self, kind: str, number: int) -> None:
+        self.labels.append(Label(self._said, kind, number, None, self._tick))
+        self._said += 1
+        self._judge_again(number)
+
+    def _end(self, kind: str, stop: int) -> None:
+        """Ends a label that goes on, before a frame."""
+        for label in self.labels:
+            if label.kind == kind and label.last is None:
+                label.last = stop - 1
+                if self._controls == label.number:
+                    self._controls = None
+                self._judge_again(stop)
+
+    def _judge_again(self, first: int) -> None:
+        first = max(first, self._tick - self._books.size + 1, 0)
+        if first >= self._tick:
+            return
+        books = self._books
+        self._boundary = books.judge_again(self.labels, first, self._tick, self._boundary)
+        self._look()
+        learned = self._tick - self._tick % self.setup.loop.chunk
+        if self.setup.learns and first < learned:
+            rows = books.frames(first, learned)[:, self.setup.agent.layout.reward :]
+            self._learning.correct(books.places(first, learned), rows)
+
+    def _compile(self) -> None:
+        """Compiles what a person would else wait for in mid-play; nothing is played."""
+        self._act(jax.tree.map(jnp.copy, self._acting))
+        _begin(self.setup.agent, jax.tree.map(jnp.copy, self._acting))
+        self._books.compile()
+        if self.setup.learns:
+            self._learning.compile()
+
+    def _act(self, state: ActingState) -> tuple[ActingState, jax.Array]:
+        told = self._told() if self.setup.with_person else None
+        return _act(self.setup.agent, self._hyper, self._behavior, state, self._observation, told)
+
+
+@functools.partial(jax.jit, static_argnums=0, donate_argnums=3)
+def _act(
+    agent: Agent,
+    hyper: RunHyper,
+    behavior: Behavior,
+    state: ActingState,
+    observation: jax.Array,
+    told: person.Told | None,
+) -> tuple[ActingState, jax.Array]:
+    """One step of acting; `told` is what a person does, None where there is none."""
+    if told is not None:
+        state = person.tell(agent, state, told)
+    return decisions.act_or_begin(agent, hyper, behavior, state, observation, jnp.asarray(True))
+
+
+@functools.partial(jax.jit, static_argnums=0, donate_argnums=1)
+def _begin(agent: Agent, state: ActingState) -> ActingState:
+    return begin_episode(agent, state)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _see(agent: Agent, observation: jax.Array, now: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """c_t, and whether it raises the alarm."""
+    indicator = agent.indicator(observation)
+    return indicator, boundary.alarm(indicator, now)
+
+
+def _started(train: TrainState, start: dict[str, Params]) -> TrainState:
+    """A training state with networks that were learned before, and fresh optimisers."""
+    learner, networks = train.learner, train.boundary
+    mine = {
+        "actor": learner.actor,
+        "critic": learner.critic,
+        "boundary_actor": networks.actor,
+        "boundary_critic": networks.critic,
+    }
+    for name, tree in mine.items():
+        if jax.tree.map(np.shape, tree) != jax.tree.map(np.shape, start.get(name)):
+            raise ValueError(f"its {name} has other layers than this team's")
+    learner = dataclasses.replace(
+        learner,
+        actor=start["actor"],
+        target_actor=start["actor"],
+        critic=start["critic"],
+        target_critic=start["critic"],
+    )
+    networks = dataclasses.replace(
+        networks, actor=start["boundary_actor"], critic=start["boundary_critic"]
+    )
+    return dataclasses.replace(train, learner=learner, boundary=networks)

@@ -1,0 +1,247 @@
+"""The server of the live page, by a real socket: who may come, and what a person does there."""
+
+import contextlib
+import json
+import socket
+import threading
+import time
+import urllib.error
+import urllib.request
+
+import pytest
+import uvicorn
+from live_team import setup_of
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from hitl_jax.live import journal
+from hitl_jax.live.conductor import Conductor, Manners
+from hitl_jax.live.server import LONGEST_MESSAGE, Live, Outbox, Rate
+from hitl_jax.live.session import Session
+
+TOKEN = "a-token"
+
+
+class Served:
+    """A session that is served in a thread."""
+
+    def __init__(self, session, path, asks=False, answer_seconds=0.3):
+        self.session, self.path = session, path
+        self._noted = journal.Journal(path, {})
+        self._socket = socket.create_server(("127.0.0.1", 0))
+        self.port = self._socket.getsockname()[1]
+        manners = Manners("train", "HITL-AC, seed 0", asks, answer_seconds)
+        app = Live(Conductor(session, self._noted, manners), TOKEN, self.port).app()
+        config = uvicorn.Config(
+            app, log_level="error", ws_max_size=LONGEST_MESSAGE, timeout_graceful_shutdown=1
+        )
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=self._server.run, args=([self._socket],))
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._server.should_exit = True
+        self._thread.join()
+        self._noted.close()
+
+    def said(self):
+        """What the journal has of the person."""
+        return [line["said"] for line in journal.read(self.path)[1] if "said" in line]
+
+    def page(self, path, **headers):
+        """(status, body) of a page."""
+        request = urllib.request.Request(f"http://127.0.0.1:{self.port}{path}", headers=headers)
+        try:
+            with urllib.request.urlopen(request) as answer:
+                return answer.status, answer.read().decode()
+        except urllib.error.HTTPError as error:
+            return error.code, error.read().decode()
+
+    def open(self, token=TOKEN, origin=None):
+        """A page's socket."""
+        address = f"127.0.0.1:{self.port}"
+        return connect(
+            f"ws://{address}/socket?token={token}",
+            origin=origin or f"http://{address}",
+            legacy=True,
+        )
+
+
+def _until(page, kind, true=lambda message: True, seconds=20):
+    """The first message of a kind for which something is true."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        message = json.loads(page.recv(timeout=seconds))
+        if message["type"] == kind and true(message):
+            return message
+    raise TimeoutError(kind)
+
+
+def _say(page, kind, **fields):
+    page.send(json.dumps({"type": kind, **fields}))
+
+
+@pytest.fixture
+def served(tmp_path):
+    with Served(Session(setup_of()), tmp_path / "journal.jsonl") as one:
+        yield one
+
+
+def _refusal(page):
+    """Why a page was sent away: code and reason."""
+    with contextlib.suppress(ConnectionClosed):
+        while True:
+            page.recv(timeout=20)
+    return page.close_code, page.close_reason
+
+
+def test_only_those_who_know_the_address_come_in(served):
+    assert served.page("/")[0] == 403
+    assert served.page("/?token=wrong")[0] == 403
+    status, text = served.page(f"/?token={TOKEN}")
+    assert status == 200
+    assert "<canvas" in text
+    assert served.page(f"/?token={TOKEN}", Host="evil.example")[0] == 400
+    assert served.page("/../server.py")[0] == 404
+    with served.open(token="wrong") as page:
+        assert _refusal(page) == (4403, "the address needs the token that experiments.live printed")
+    with served.open(origin="http://evil.example") as page:
+        assert _refusal(page) == (4400, "another site's page may not speak to this session")
+    assert served.session.frame.number == 0  # Nobody came: nothing was played.
+
+
+def test_a_person_judges_takes_over_and_takes_back(served):
+    with served.open() as page:
+        hello = _until(page, "hello")
+        assert (hello["role"], hello["intervention"]) == ("controller", "takeover")
+        assert len(hello["shapes"]) == 5
+        assert len(_until(page, "terrain")["x"]) == 200
+        frame = _until(page, "frame", lambda m: m["n"] > 20)
+        assert len(frame["bodies"]) == 5
+        assert len(frame["lidar"]) == 10
+        _say(page, "take", frame=frame["n"])
+        _say(page, "hands", action=[1, 0, 0, 0])
+        taken = _until(page, "frame", lambda m: m["control"] == "person")
+        assert taken["danger"]
+        _say(page, "let_go", frame=taken["n"])
+        _until(page, "frame", lambda m: m["control"] == "machine")
+        assert _until(page, "status")["labels"] == 1
+        _say(page, "undo")
+        _until(page, "status", lambda m: m["labels"] == 0)
+        _say(page, "danger", down=True, frame=10**9)
+        assert "frame 1000000000: must be from" in _until(page, "error")["message"]
+    kinds = [said["type"] for said in served.said()]
+    assert kinds[:4] == ["take", "hands", "let_go", "undo"]
+
+
+def test_pause_step_and_speed(served):
+    with served.open() as page:
+        _until(page, "frame", lambda m: m["n"] > 5)
+        _say(page, "pause", on=True)
+        _until(page, "status", lambda m: m["paused"])
+        time.sleep(0.1)
+        held = served.session.frame.number
+        time.sleep(0.2)
+        assert served.session.frame.number == held
+        _say(page, "step")
+        assert _until(page, "frame", lambda m: m["n"] > held)["n"] == held + 1
+        _say(page, "speed", factor=None)
+        _say(page, "pause", on=False)
+        quick = _until(page, "status", lambda m: m["speed"] is None and m["rate"] > 60)
+        assert not quick["paused"]
+
+
+def test_one_controls_and_others_watch(served):
+    with served.open() as first, served.open() as second:
+        assert _until(second, "hello")["role"] == "watcher"
+        _until(second, "frame", lambda m: m["n"] > 3)
+        _say(second, "pause", on=True)
+        assert "somebody else controls" in _until(second, "error")["message"]
+        assert _until(first, "status", lambda m: m["watchers"] == 1)["paused"] is False
+    # Who left and comes again has the controls again, and it goes on.
+    time.sleep(0.2)
+    held = served.session.frame.number
+    time.sleep(0.2)
+    assert served.session.frame.number == held
+    with served.open() as page:
+        hello = _until(page, "hello")
+        assert hello["role"] == "controller"
+        _until(page, "frame", lambda m: m["n"] > held + 10)
+
+
+def test_a_lost_page_lets_go_of_the_controls(served):
+    with served.open() as page:
+        frame = _until(page, "frame", lambda m: m["n"] > 3)
+        _say(page, "take", frame=frame["n"])
+        _until(page, "frame", lambda m: m["control"] == "person")
+    end = time.monotonic() + 10
+    while served.session.controls and time.monotonic() < end:
+        time.sleep(0.02)
+    assert not served.session.controls
+    assert len(served.session.labels) == 1  # What was said stands.
+
+
+def test_nonsense_and_floods_are_bounded_and_harm_nothing(served):
+    with served.open() as page:
+        _until(page, "frame", lambda m: m["n"] > 3)
+        page.send("nonsense")
+        assert _until(page, "error")["message"] == "a message: is not JSON"
+        page.send("x" * (LONGEST_MESSAGE + 1))
+        assert _refusal(page)[0] == 1009
+    with served.open() as page, contextlib.suppress(ConnectionClosed):
+        for _ in range(2000):
+            _say(page, "pause", on=False)
+        assert _refusal(page) == (4429, "more than 200 messages a second")
+    with served.open() as page:
+        for _ in range(30):
+            page.send("[]")
+        assert _refusal(page) == (4400, "more than 20 messages that mean nothing")
+    with served.open() as page:
+        before = served.session.frame.number
+        _until(page, "frame", lambda m: m["n"] > before + 20)
+    again = Session(setup_of())
+    list(journal.play(again, journal.read(served.path)[1], served.path))
+    assert again.labels == served.session.labels == []
+
+
+def test_the_walker_asks_and_goes_on(tmp_path):
+    with (
+        Served(Session(setup_of()), tmp_path / "journal.jsonl", asks=True) as served,
+        served.open() as page,
+    ):
+        asked = _until(page, "status", lambda m: m["asking"])["asking"]
+        number = asked["frame"]
+        assert served.session.frame.number == number
+        assert served.session.frame.alarmed
+        _say(page, "danger", down=True, frame=number)
+        _say(page, "danger", down=False, frame=number)
+        _until(page, "frame", lambda m: m["control"] == "person")
+        assert [label.first for label in served.session.labels] == [number]
+        _say(page, "let_go", frame=number + 1)
+        # Nobody answers: after a while it goes on as if that were "safe", and says so.
+        later = _until(page, "status", lambda m: m["asking"] and m["asking"]["frame"] > number)
+        _until(page, "frame", lambda m: m["n"] > later["asking"]["frame"])
+        assert {"type": "safe", "frame": later["asking"]["frame"]} in served.said()
+        assert served.session.labels[-1].kind == "safe"
+
+
+def test_a_slow_page_holds_nobody_up():
+    outbox = Outbox()
+    for number in range(2000):
+        outbox.put({"type": "frame", "n": number})
+        outbox.put({"type": "status", "n": number})
+    assert not outbox.slow
+    for number in range(2000):
+        outbox.put({"type": "episode", "n": number})
+    assert outbox.slow
+    assert len(outbox._others) < 600
+
+
+def test_messages_are_counted_by_the_second():
+    rate = Rate(10)
+    assert sum(rate.allows() for _ in range(100)) == 10
+    time.sleep(0.25)
+    assert rate.allows()

@@ -1,0 +1,313 @@
+"""A session that a person watches: late labels, what is taken back, and its journal."""
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+from live_team import HYPER, setup_of
+
+from hitl_jax import boundary
+from hitl_jax.agent import make_agent
+from hitl_jax.files import ResultsError
+from hitl_jax.live import commands, journal, person
+from hitl_jax.live.labels import Label, judged, moved
+from hitl_jax.live.session import Session
+
+
+def _play(session, until):
+    while session.frame.number < until:
+        session.tick()
+
+
+def _stored(session):
+    """All that the learner has, and what the session says is there."""
+    booked, learned = session.stored()
+    np.testing.assert_array_equal(booked, learned)
+    return learned
+
+
+@pytest.fixture(scope="module")
+def silent():
+    """A session in which nobody says anything, and where its first alarms are."""
+    session = Session(setup_of())
+    _play(session, 96)
+    return session, [n for n in range(96) if session.flag("alarmed", n)]
+
+
+def test_a_label_lands_on_the_frame_that_was_seen(silent):
+    """300 ms late: fifteen frames at fifty a second."""
+    nobody, alarms = silent
+    seen, late = alarms[0], 15
+    session = Session(setup_of("penalty"))
+    _play(session, seen + late)
+    before = session.frame.boundary
+    session.danger(True, seen)
+    session.danger(False, seen)
+    assert [n for n in range(seen + late) if session.flag("dangerous", n)] == [seen]
+    # A false alarm of Δ⁺ has become a true one of Δ⁻.
+    assert session.frame.boundary == pytest.approx(before - 0.02, abs=1e-6)
+    layout = session.setup.agent.layout
+    _play(session, 96)
+    rows = _stored(session)
+    assert rows[seen, layout.boundary_reward] == 1.0
+    assert rows[seen, layout.boundary] == _stored(nobody)[seen, layout.boundary]
+    assert rows[seen + 1, layout.boundary] == rows[seen, layout.next_boundary]
+    assert rows[seen, layout.next_boundary] == rows[seen, layout.boundary] - np.float32(0.01)
+
+
+def test_a_judgement_in_time_equals_one_that_came_late(silent):
+    _, alarms = silent
+    first, last = alarms[0], alarms[0] + 6
+    in_time, late = Session(setup_of("penalty")), Session(setup_of("penalty"))
+    _play(in_time, first)
+    in_time.danger(True, first)
+    _play(in_time, last)
+    in_time.danger(False, last - 1)
+    _play(late, last)
+    late.danger(True, first)
+    late.danger(False, last - 1)
+    columns = [
+        late.setup.agent.layout.boundary_reward,
+        *(late.setup.agent.layout.boundary + i for i in (0, 1)),
+    ]
+    _play(in_time, 48)
+    _play(late, 48)
+    np.testing.assert_array_equal(_stored(in_time)[:, columns], _stored(late)[:, columns])
+    assert in_time.frame.boundary == late.frame.boundary
+
+
+@pytest.mark.parametrize("ticks", [1, 40])
+def test_what_is_taken_back_leaves_no_trace(silent, ticks):
+    """Boundary and stored rewards, also of frames that the learner had already."""
+    _, alarms = silent
+    session = Session(setup_of())
+    _play(session, 45)
+    silence = next(n for n in range(45) if n not in alarms)
+    session.danger(True, silence)
+    session.danger(False, min(alarms[0] + 3, 44))
+    session.safe(44)
+    session.undo()
+    label = session.undo()
+    assert (label.kind, label.first) == ("danger", silence)
+    assert session.labels == []
+    _play(session, 45 + ticks)
+    quiet = Session(setup_of())
+    _play(quiet, 45 + ticks)
+    assert session.digest() == quiet.digest()
+    np.testing.assert_array_equal(_stored(session), _stored(quiet))
+
+
+def test_an_intervention_that_is_taken_back_costs_nothing():
+    session = Session(setup_of())
+    layout = session.setup.agent.layout
+    _play(session, 20)
+    session.take(18)
+    session.move([1, -1, 0.5, 0])
+    assert session.controls
+    _play(session, 30)
+    session.let_go(29)
+    _play(session, 48)
+    rows = _stored(session)
+    np.testing.assert_array_equal(rows[20:30, layout.action], [[1, -1, 0.5, 0]] * 10)
+    assert (rows[20:30, layout.reward] < -19).all()
+    assert session.interventions == 1
+    assert [n for n in range(48) if session.flag("control", n)] == list(range(20, 30))
+    assert [n for n in range(48) if session.flag("dangerous", n)] == list(range(18, 29))
+    session.undo()
+    after = _stored(session)
+    np.testing.assert_allclose(
+        after[20:30, layout.reward], rows[20:30, layout.reward] + 20, atol=1e-5
+    )
+    assert not any(session.flag("dangerous", n) for n in range(48))
+
+
+def test_the_arbiter_hands_over_where_alarm_and_judgement_agree(silent):
+    _, alarms = silent
+    session = Session(setup_of())
+    _play(session, alarms[0])
+    session.danger(True, alarms[0])
+    session.danger(False, alarms[0])  # A tap: over before the next step, heard all the same.
+    session.tick()
+    assert session.controls
+    assert session.interventions == 1
+    session.tick()
+    assert session.interventions == 1
+    session.safe(session.frame.number)
+    assert not session.controls
+
+
+def test_a_human_reset_that_is_taken_back_does_not_end_the_bootstrap(silent):
+    _, alarms = silent
+    session = Session(setup_of("reset"))
+    layout = session.setup.agent.layout
+    _play(session, alarms[0])
+    session.danger(True, alarms[0])
+    assert session.tick()["end"] == "human-reset"
+    assert session.frame.ended
+    session.danger(False, session.frame.number)
+    _play(session, 48)
+    assert _stored(session)[alarms[0], [layout.terminated, layout.truncated]].tolist() == [1, 0]
+    session.undo()
+    assert _stored(session)[alarms[0], [layout.terminated, layout.truncated]].tolist() == [0, 1]
+
+
+def test_assistance_walks_only_while_the_person_has_the_controls():
+    session = Session(setup_of())
+    session.assist(True)
+    _play(session, 5)
+    session.take(5)
+    _play(session, 10)
+    layout = session.setup.agent.layout
+    scripted = session.actions(5, 10)
+    assert np.abs(scripted).sum() > 0
+    session.assist(False)
+    session.tick()
+    np.testing.assert_array_equal(session.actions(10, 11), np.zeros((1, layout.action_size)))
+
+
+@pytest.mark.parametrize(
+    ("do", "said"),
+    [
+        (lambda s: s.danger(True, 7), "frame 7: must be from 0 to 0"),
+        (lambda s: s.danger(True, -1), "frame -1: must be from 0 to 0"),
+        (lambda s: s.move([2.0, 0, 0, 0]), "hands: must be four numbers from -1 to 1"),
+        (lambda s: s.move([0.0]), "hands: must be four numbers from -1 to 1"),
+    ],
+)
+def test_what_cannot_be_done_is_refused(silent, do, said):
+    fresh = Session(setup_of())
+    with pytest.raises(ValueError, match=said):
+        do(fresh)
+
+
+def test_line_8_after_the_fact_is_line_8():
+    rng = np.random.default_rng(0)
+    alarmed, dangerous, live = rng.random((3, 64)) < 0.6
+    now, told, after, rewards = jax.tree.map(
+        np.asarray, [0.3, *moved(HYPER, 0.3, alarmed, dangerous, live)]
+    )
+    for n in range(64):
+        assert told[n] == pytest.approx(now, abs=1e-6)
+        expected = boundary.next_boundary(now, alarmed[n], dangerous[n], 0.01, 0.01)
+        assert after[n] == pytest.approx(np.clip(expected, 0.05, 1.5), abs=1e-6)
+        assert rewards[n] == boundary.boundary_reward(alarmed[n], dangerous[n], 1.0)
+        now = after[n] if live[n] else now
+
+
+def test_labels_cover_their_frames():
+    labels = [
+        Label(0, "danger", 2, 4, 3),
+        Label(1, "safe", 3, 3, 3),
+        Label(2, "take", 7, None, 7),
+        Label(3, "danger", 0, 0, 9),
+    ]
+    assert np.flatnonzero(judged(labels, 1, 10)).tolist() == [1, 2, 3, 6, 7, 8]
+    assert judged(labels, 5, 5).shape == (0,)
+
+
+def _act_upon(noted, session, upto, rng):
+    """Somebody who says all kinds of things."""
+    while session.frame.number < upto:
+        number, lottery = session.frame.number, rng.random()
+        seen = max(number - int(rng.integers(0, 20)), 0)
+        said = {
+            0: {"type": "danger", "down": bool(rng.random() < 0.5), "frame": seen},
+            1: {"type": "take", "frame": seen},
+            2: {"type": "let_go", "frame": seen},
+            3: {"type": "hands", "action": rng.uniform(-1, 1, 4).round(3).tolist()},
+            4: {"type": "undo"},
+            5: {"type": "safe", "frame": seen},
+            6: {"type": "assist", "on": bool(rng.random() < 0.5)},
+            7: {"type": "pause", "on": True},
+        }
+        if lottery < 0.2:
+            noted.said(session, commands.parse(json.dumps(said[int(rng.integers(8))])))
+        session.tick()
+        noted.played(session)
+
+
+def test_a_journal_plays_the_session_again(tmp_path):
+    path, rng = tmp_path / "journal.jsonl", np.random.default_rng(1)
+    session = Session(setup_of())
+    noted = journal.Journal(path, {"mode": "train"})
+    _act_upon(noted, session, 1700, rng)  # More than the replay and than an episode hold.
+    assert session.episodes
+    # Killed as it wrote a line, which may stand there in part.
+    path.write_bytes(path.read_bytes() + b'{"at":1701,"sa')
+    header, lines = journal.read(path)
+    assert header["mode"] == "train"
+    again = Session(setup_of())
+    list(journal.play(again, lines, path))
+    _play(again, session.frame.number)
+    assert again.digest() == session.digest()
+    assert again.labels == session.labels
+    assert repr(again.episodes) == repr(session.episodes)  # As text, since NaN differs from itself.
+    np.testing.assert_array_equal(_stored(again), _stored(session))
+    # It goes on in the same file, without the part of a line.
+    noted = journal.Journal(path, None)
+    _act_upon(noted, again, 1760, rng)
+    noted.close()
+    assert all(json.loads(line) for line in path.read_text().splitlines())
+    with pytest.raises(ResultsError, match="File exists"):
+        journal.Journal(path, {})
+
+
+def test_another_session_is_noticed(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    session = Session(setup_of())
+    noted = journal.Journal(path, {})
+    _act_upon(noted, session, 64, np.random.default_rng(2))
+    _, lines = journal.read(path)
+    with pytest.raises(ResultsError, match="plays otherwise than it did"):
+        list(journal.play(Session(setup_of(seed=1)), lines, path))
+    for text in ("", "{}\n", '{"journal": 9}\n', "hello\n", "[]\n"):
+        path.write_text(text)
+        with pytest.raises(ResultsError, match="journal"):
+            journal.read(path)
+    with pytest.raises(ResultsError, match="No such file"):
+        journal.read(tmp_path / "none")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "3",
+        '{"type": "fly"}',
+        '{"type": ["danger"]}',
+        '{"type": "danger"}',
+        '{"type": "danger", "down": 1, "frame": 3}',
+        '{"type": "danger", "down": true, "frame": 3.5}',
+        '{"type": "safe", "frame": true}',
+        '{"type": "hands", "action": ["a"]}',
+        '{"type": "hands", "action": [NaN, 0, 0, 0]}',
+        '{"type": "speed", "factor": 3}',
+        '{"type": "speed", "factor": true}',
+        "[" * 100_000,
+    ],
+)
+def test_messages_that_mean_nothing_are_refused_in_one_line(text):
+    with pytest.raises(ValueError, match=r"^[^\n]+$"):
+        commands.parse(text)
+
+
+def test_a_session_begins_with_networks_that_were_learned(silent):
+    session, _ = silent
+    train, tau = session.networks()
+    start = {
+        "actor": train.learner.actor,
+        "critic": train.learner.critic,
+        "boundary_actor": train.boundary.actor,
+        "boundary_critic": train.boundary.critic,
+        "boundary": tau,
+    }
+    tested = Session(setup_of(start=start, learns=False))
+    assert tested.frame.boundary == pytest.approx(float(tau))
+    _play(tested, 32)
+    other = dataclasses.replace(tested.setup.agent.config, hidden_sizes=(8,))
+    agent = make_agent(other, judge=person.judge(), source=person.hands(4))
+    with pytest.raises(ValueError, match="its actor has other layers"):
+        Session(setup_of(agent=agent, start=start))
