@@ -1,6 +1,7 @@
 """A page on this machine on which a person is the human: `python -m experiments.live`."""
 
 import asyncio
+import contextlib
 import dataclasses
 import io
 import os
@@ -156,57 +157,59 @@ def main(options: LiveOptions) -> int:
     Returns:
         The exit code.
     """
-    with checking_input():
-        options = options.checked()
-        header = options.header()
-        setup = setup_of(options)
+    with contextlib.ExitStack() as held:
+        with checking_input():
+            options = options.checked()
+            header = options.header()
+            setup = setup_of(options)
+            try:
+                import uvicorn  # noqa: F401, a missing extra is noticed before any work
+            except ImportError as error:
+                raise ImportError('the page needs: pip install -e ".[live]"') from error
+            listening = held.enter_context(contextlib.closing(_listen(options.port)))
+        path = pathlib.Path(options.journal)
+        lines = _lines_of(path, header)
+        keep_programs()
+        print("compiling ...", flush=True)
         try:
-            import uvicorn
+            session = Session(setup)
+        except ValueError as error:
+            raise BadInput(f"--start {options.start}: {error}") from error
+        _go_on(session, lines, path)
+        made = {"versions": versions(), "commit": git_commit(), "processor": processor()}
+        first = None if path.exists() else header | {"made": made}
+        noted = held.enter_context(contextlib.closing(journal.Journal(path, first)))
+        code = _serve(options, session, noted, listening)
+        kept = path.with_suffix(".npz")
+        write_bytes_atomic(kept, _archive(checkpoint.flatten(*session.networks())))
+        print(f"Played {session.frame.number:,} frames; what was learned: {kept}")
+        return code
 
-            from hitl_jax.live.server import LONGEST_MESSAGE, Live
-        except ImportError as error:
-            raise BadInput('the page needs the extra: pip install -e ".[live]"') from error
-        listening = _listen(options.port)
-    path = pathlib.Path(options.journal)
-    lines = _lines_of(path, header)
-    keep_programs()
+
+def _serve(
+    options: LiveOptions, session: Session, noted: journal.Journal, listening: socket.socket
+) -> int:
+    """Serves the page until a signal; the exit code."""
+    import uvicorn
+
+    from hitl_jax.live.server import LONGEST_MESSAGE, Live
+
     port, token = listening.getsockname()[1], secrets.token_urlsafe(16)
-    print("compiling ...", flush=True)
-    try:
-        session = Session(setup)
-    except ValueError as error:
-        raise BadInput(f"--start {options.start}: {error}") from error
-    _go_on(session, lines, path)
-    made = {"versions": versions(), "commit": git_commit(), "processor": processor()}
-    noted = journal.Journal(path, None if path.exists() else {**header, "made": made})
     title = f"{options.method.upper()}, seed {options.seed}"
     asks = options.ask or options.mode == "test"
     manners = Manners(options.mode, title, asks, options.answer_seconds)
     app = Live(Conductor(session, noted, manners), token, port).app()
     config = uvicorn.Config(
-        app,
-        log_level="warning",
-        ws_max_size=LONGEST_MESSAGE,
-        timeout_graceful_shutdown=1,
+        app, log_level="warning", ws_max_size=LONGEST_MESSAGE, timeout_graceful_shutdown=1
     )
     address = f"http://{_HOST}:{port}/?token={token}"
-    print(f"The page: {address}\nThe journal: {path}\nCtrl-C ends; the same command goes on.")
-    sys.stdout.flush()
+    print(f"The page: {address}\nThe journal: {options.journal}")
+    print("Ctrl-C ends; the same command goes on.", flush=True)
     if options.open_page and _has_display():
         webbrowser.open(address)
-    code = _serve(uvicorn.Server(config), listening)
-    noted.close()
-    kept = path.with_suffix(".npz")
-    write_bytes_atomic(kept, _archive(checkpoint.flatten(*session.networks())))
-    print(f"Played {session.frame.number:,} frames; what was learned: {kept}")
-    return code
-
-
-def _serve(server: Any, listening: socket.socket) -> int:
-    """Serves until a signal; the exit code."""
     with deferred_interrupts() as interrupted:
-        # Uvicorn gives the signals that ended it on to who had them before.
-        asyncio.run(server.serve(sockets=[listening]))
+        # Uvicorn gives the signal that ended it on to who had it before.
+        asyncio.run(uvicorn.Server(config).serve(sockets=[listening]))
         try:
             interrupted()
         except Interrupted as stopped:
@@ -252,6 +255,7 @@ def _listen(port: int) -> socket.socket:
         listening.bind((_HOST, port))
         listening.listen()  # A page that is opened at once waits.
     except OSError as error:
+        listening.close()
         raise ValueError(f"--port {port}: {error.strerror}") from error
     return listening
 

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import tyro
 
+from experiments import judgements
 from experiments.under_way import SAVE_SECONDS
 from hitl_jax.config import AgentConfig, Hyper, Method, require, validate_hyper
 from hitl_jax.envs import BACKENDS
@@ -45,6 +46,8 @@ class SweepOptions:
         workers: processes that step walkers, or CPU devices with `jax` (default: one a core).
         slots: runs at a time, at least two a core; the others wait. Each takes capacity x 140 bytes
             of memory.
+        human: `simulated`, by the options below, or `recorded:FILE`, a person's judgements in a
+            live session (see experiments.recorded), played back step by step.
         human_policy: a `params.npz` whose actor gives the human's actions (default: gymnasium's
             scripted walker).
         save_seconds: how often runs under way are saved [s]: what a killed process loses at most.
@@ -63,6 +66,7 @@ class SweepOptions:
     backend: str = "lean"
     workers: int | None = None
     slots: int = 32
+    human: str = judgements.SIMULATED
     human_policy: str | None = None
     save_seconds: float = SAVE_SECONDS
     out: str = "runs/sweep"

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments import judgements
 from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
 from experiments.options import SweepOptions
@@ -31,6 +32,7 @@ from hitl_jax.envs import make_pool, num_cores
 from hitl_jax.episodes import ALARM_WINDOW
 from hitl_jax.evaluation import milestones
 from hitl_jax.files import ResultsError, locked
+from hitl_jax.human import recorded
 from hitl_jax.provenance import processor, versions
 from hitl_jax.results import ResultsFolder
 from hitl_jax.rollout import Rollout
@@ -56,9 +58,11 @@ def main(options: SweepOptions) -> int:
     with contextlib.ExitStack() as held:
         with checking_input():
             options = options.checked()
-            agent = make_team(options.agent, options.human_policy)
+            dangerous = judgements.load(options.human)
+            judge = None if dangerous is None else recorded(dangerous)
+            agent = make_team(options.agent, options.human_policy, judge)
             folder = ResultsFolder(options.out)
-            config = _config(options)
+            config = _config(options) | judgements.digest(dangerous)
             if options.backend == "envpool":
                 make_pool(
                     "envpool", 1
@@ -67,6 +71,7 @@ def main(options: SweepOptions) -> int:
             try:
                 held.enter_context(locked(folder.path))
                 changed = folder.create_or_resume(config, command)
+                judgements.keep(folder.path, dangerous)
             except ResultsError as error:
                 raise BadInput(f"--out {error}") from error
         if changed:

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from experiments import judgements
 from experiments.training import make_team, policy_digest
 from hitl_jax import checkpoint
 from hitl_jax.agent import Agent
@@ -31,7 +32,7 @@ def agent_of(folder: ResultsFolder, human_policy: str | None = None) -> Agent:
         config = AgentConfig(**choices | lists)
     except (TypeError, ValueError) as error:
         raise ResultsError(f"{folder.path}: config.json: {error}") from error
-    return make_team(config, human_policy)
+    return make_team(config, human_policy, judgements.kept(folder.path))
 
 
 def require_same_human(folder: ResultsFolder, human_policy: str | None) -> None:

@@ -13,6 +13,7 @@ from hitl_jax.config import AgentConfig, Method
 from hitl_jax.envs import WalkerPool, make_pool
 from hitl_jax.episodes import Row
 from hitl_jax.evaluation import Evaluator, Mode, evaluate_run, evaluate_snapshots
+from hitl_jax.human import HumanPart
 from hitl_jax.networks import Actor
 from hitl_jax.rollout import Rollout
 from hitl_jax.run_key import RunKey
@@ -36,13 +37,16 @@ class Plant(NamedTuple):
     test_episodes: int
 
 
-def make_team(config: AgentConfig, human_policy: str | None) -> Agent:
+def make_team(
+    config: AgentConfig, human_policy: str | None, judge: HumanPart | None = None
+) -> Agent:
     """The team that the options describe.
 
     Args:
         config: static choices.
         human_policy: a `params.npz` whose actor gives the human's actions, or None for the
             scripted walker.
+        judge: a human of one's own; None is the simulated one.
 
     Raises:
         ValueError: one line, if the file is no checkpoint of such a walker.
@@ -52,7 +56,7 @@ def make_team(config: AgentConfig, human_policy: str | None) -> Agent:
         actor = checkpoint.load_actor(human_policy, config.observation_size, config.action_size)
         *hidden, size = checkpoint.hidden_sizes(actor)
         source = human_actions.policy(Actor(tuple(hidden), size).apply, actor)
-    return make_agent(config, source=source)
+    return make_agent(config, judge=judge, source=source)
 
 
 def policy_digest(human_policy: str | None) -> str | None:

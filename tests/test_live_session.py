@@ -246,6 +246,9 @@ def test_a_journal_plays_the_session_again(tmp_path):
     assert repr(again.episodes) == repr(session.episodes)  # As text, since NaN differs from itself.
     np.testing.assert_array_equal(_stored(again), _stored(session))
     # It goes on in the same file, without the part of a line.
+    with pytest.raises(ResultsError, match="another process plays this session"):
+        journal.Journal(path, None)
+    noted.close()
     noted = journal.Journal(path, None)
     _act_upon(noted, again, 1760, rng)
     noted.close()

@@ -9,11 +9,12 @@ executed (float32, base64) and a checksum.
 """
 
 import base64
+import fcntl
 import json
 import os
 import pathlib
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from hitl_jax.files import ResultsError
@@ -37,17 +38,22 @@ class Journal:
                 not written to its end.
 
         Raises:
-            ResultsError: if it cannot be written.
+            ResultsError: if it cannot be written, or another process writes it.
         """
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            if header is None:
-                whole = path.read_bytes().rpartition(b"\n")
-                os.truncate(path, len(whole[0]) + len(whole[1]))
             flags = os.O_WRONLY | os.O_APPEND | (0 if header is None else os.O_CREAT | os.O_EXCL)
             self._file = os.open(path, flags, 0o644)
         except OSError as error:
             raise ResultsError(f"{path}: {error.strerror}") from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            os.close(self._file)
+            raise ResultsError(f"{path}: another process plays this session") from error
+        if header is None:
+            whole = path.read_bytes().rpartition(b"\n")
+            os.truncate(path, len(whole[0]) + len(whole[1]))
         if header is not None:
             self._add({"journal": VERSION, **header})
 
@@ -101,13 +107,19 @@ def read(path: pathlib.Path) -> tuple[Line, list[Line]]:
     return header, others
 
 
-def play(session: Session, lines: list[Line], path: pathlib.Path) -> Iterator[int]:
+def play(
+    session: Session,
+    lines: list[Line],
+    path: pathlib.Path,
+    before_step: Callable[[], None] = lambda: None,
+) -> Iterator[int]:
     """Plays a journal again on a session of its setup; gives the frame that comes next, at times.
 
     Args:
         session: at its beginning.
         lines: of `read`.
         path: for what is said.
+        before_step: called before each tick.
 
     Raises:
         ResultsError: if the session does not become what it was.
@@ -115,6 +127,7 @@ def play(session: Session, lines: list[Line], path: pathlib.Path) -> Iterator[in
     chunk = session.setup.loop.chunk
     for line in lines:
         while session.frame.number < line["at"]:
+            before_step()
             session.tick()
         if "said" in line:
             if line["said"]["type"] in commands.JUDGING:

@@ -1,0 +1,141 @@
+"""The live page as a command: played, killed, taken up again; the person as a recorded human."""
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import small
+from websockets.sync.client import connect
+
+from experiments import live, recorded
+from experiments.cli import run_main
+from experiments.judgements import load
+from hitl_jax.agent import make_agent
+from hitl_jax.live import journal
+
+_OPTIONS = (
+    *("--no-open-page", "--port", "0", "--warmup-steps", "64", "--initial-boundary", "0.1"),
+    *small.OPTIONS,
+)
+
+
+class _Page:
+    """A session in a process of its own, and a page that controls it."""
+
+    def __init__(self, path, *options):
+        command = [sys.executable, "-m", "experiments.live", "--journal", str(path)]
+        self.process = subprocess.Popen(
+            [*command, *_OPTIONS, *options], stdout=subprocess.PIPE, text=True, env=os.environ
+        )
+        self.said = ""
+        while not (found := re.search(r"http://(\S+)/\?token=(\S+)", self.said)):
+            line = self.process.stdout.readline()
+            assert line, self.said
+            self.said += line
+        host, token = found.groups()
+        self._socket = connect(
+            f"ws://{host}/socket?token={token}", origin=f"http://{host}", legacy=True
+        )
+
+    def say(self, kind, **fields):
+        self._socket.send(json.dumps({"type": kind, **fields}))
+
+    def until(self, true):
+        """The first frame of which something is true."""
+        while True:
+            message = json.loads(self._socket.recv(timeout=60))
+            if message["type"] == "frame" and true(message):
+                return message
+
+    def stop(self, number):
+        self.process.send_signal(number)
+        self.said += self.process.communicate(timeout=60)[0]
+        self._socket.close()
+        return self.process.returncode
+
+
+def test_a_session_survives_a_kill_and_becomes_a_human_for_sweeps(tmp_path, capsys):
+    path = tmp_path / "session.jsonl"
+    page = _Page(path)
+    page.say("speed", factor=None)
+    alarmed = page.until(lambda frame: frame["alarm"] and frame["n"] > 100)
+    page.say("pause", on=True)
+    page.say("danger", down=True, frame=alarmed["n"])
+    page.say("danger", down=False, frame=alarmed["n"])
+    page.say("pause", on=False)
+    page.until(lambda frame: frame["n"] > alarmed["n"] + 200)
+    assert page.stop(signal.SIGKILL) == -signal.SIGKILL
+    last = journal.read(path)[1][-1]["at"]
+
+    page = _Page(path)
+    assert f"played again {last:,} of {last:,} frames" in page.said
+    page.until(lambda frame: frame["n"] > last + 20)
+    assert page.stop(signal.SIGINT) == 0
+    assert f"what was learned: {path.with_suffix('.npz')}" in page.said
+    with np.load(path.with_suffix(".npz")) as learned:
+        assert learned["boundary"].shape == ()
+
+    assert run_main(recorded.RecordedOptions, recorded.main, [str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "| threshold |" in said
+    human = said.split("--human ")[-1].strip()
+    judgements = load(human)
+    assert judgements.sum() >= 1
+    assert len(judgements) > last - 10
+
+
+def _refused(options, capsys):
+    assert run_main(live.LiveOptions, live.main, [*_OPTIONS, *options]) == 2
+    said = capsys.readouterr()
+    assert said.err.startswith("error: ")
+    assert said.err.count("\n") == 1
+    return said.err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--mode", "dream"], "--mode dream: must be one of train, test, watch"),
+        (["--mode", "test"], "--start (none): --mode test needs a run's params.npz"),
+        (["--start", "gone.npz"], "--start gone.npz: No such file"),
+        (["--start", "pyproject.toml"], "--start pyproject.toml: is no checkpoint"),
+        (["--method", "srl"], "--method srl: must be one of hitl-ac, hitl-fix"),
+        (["--port", "70000"], "--port 70000: must be at least 0 and at most 65535"),
+        (["--answer-seconds", "0"], "--answer-seconds 0.0: must be at least 0.1"),
+        (["--boundary-source", "network"], "--boundary-source network: must be one of rule"),
+        (["--human-policy", "gone.npz"], "--human-policy gone.npz: No such file"),
+    ],
+)
+def test_bad_options_are_refused(options, message, tmp_path, capsys):
+    path = tmp_path / "journal.jsonl"
+    assert message in _refused([*options, "--journal", str(path)], capsys)
+    assert not path.exists()
+
+
+def test_a_port_in_use_and_another_sessions_journal_are_refused(tmp_path, capsys):
+    path = tmp_path / "journal.jsonl"
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        said = _refused(["--port", port, "--journal", str(path)], capsys)
+        assert f"--port {port}: Address already in use" in said
+    options = live.LiveOptions(seed=3)
+    journal.Journal(path, options.header()).close()
+    said = _refused(["--journal", str(path)], capsys)
+    assert "seed: it has 3, asked for 0" in said
+    path.write_text("my thesis\n")
+    assert run_main(live.LiveOptions, live.main, [*_OPTIONS, "--journal", str(path)]) == 1
+    assert "is no journal of a live session" in capsys.readouterr().err
+    assert path.read_text() == "my thesis\n"
+
+
+def test_watching_takes_a_simulated_human():
+    setup = live.setup_of(live.LiveOptions(mode="watch", seed=1))
+    assert not setup.with_person
+    assert setup.agent.human.init() is not None
+    assert setup.agent.config == make_agent(setup.agent.config).config
