@@ -1,7 +1,7 @@
 """How near each part is to what this machine can do: `python -m experiments.benchmark`.
 
 Every ratio is of two figures of one run, since machines differ and are noisy. Let nothing else run
-beside it. `scaling`, `saves`, `walkers` and `peers` take some minutes each.
+beside it. `scaling`, `saves`, `walkers`, `live` and `peers` take some minutes each.
 """
 
 import dataclasses
@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 from experiments.benchmarks.learner import measure_learner
+from experiments.benchmarks.live import measure_live
 from experiments.benchmarks.loop import measure_loop
 from experiments.benchmarks.peers import measure_peers
 from experiments.benchmarks.pool import measure_pool
@@ -31,15 +32,17 @@ class BenchmarkOptions:
     """Measure learner, walkers and loop on this machine, their growth with runs, and their peers.
 
     Attributes:
-        only: parts to measure: some of learner, pool, loop, scaling, saves, walkers, peers (which
-            needs the extra `bench`).
+        only: parts to measure: some of learner, pool, loop, scaling, saves, walkers, live (which
+            needs the extra `live`), peers (which needs the extra `bench`).
         json: a file for the same numbers.
         plot: a .png or .svg file for a picture of the part scaling.
         tile: runs vmapped together on one device, in the part learner; by default as in the sweep.
         seconds: time for one measurement [s].
     """
 
-    only: tuple[str, ...] = ("learner", "pool", "loop", "scaling", "saves", "walkers", "peers")
+    only: tuple[str, ...] = (
+        *("learner", "pool", "loop", "scaling", "saves", "walkers", "live", "peers"),
+    )
     json: str | None = None
     plot: str | None = None
     tile: int | None = None
@@ -84,6 +87,7 @@ PARTS: dict[str, Callable[[BenchmarkOptions], list[Row]]] = {
     "scaling": lambda options: measure_scaling(options.seconds),
     "saves": lambda options: measure_saves(options.seconds),
     "walkers": lambda options: measure_walkers(options.seconds),
+    "live": lambda options: measure_live(options.seconds),
     "peers": lambda options: measure_peers(options.seconds),
 }
 

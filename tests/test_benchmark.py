@@ -26,7 +26,8 @@ from hitl_jax.rollout import Rollout
     [
         (
             ["--only", "speed"],
-            "--only speed: must be some of learner, pool, loop, scaling, saves, walkers, peers",
+            "--only speed: must be some of learner, pool, loop, scaling, saves, walkers, live, "
+            "peers",
         ),
         (["--only", "learner,speed"], "--only learner,speed: must be some of"),
         (["--only"], "--only"),
