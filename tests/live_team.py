@@ -1,12 +1,23 @@
-"""A small session for the tests of the live page."""
+"""A small session for the tests of the live page, and its server."""
 
 import functools
+import socket
+import threading
+import urllib.error
+import urllib.request
+
+import uvicorn
+from websockets.sync.client import connect
 
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.live import person
+from hitl_jax.live import journal, person
+from hitl_jax.live.conductor import Conductor, Manners
+from hitl_jax.live.server import LONGEST_MESSAGE, Live
 from hitl_jax.live.session import Setup
 from hitl_jax.runs import LoopConfig
+
+TOKEN = "a-token"
 
 HYPER = hyper_for(
     Method.HITL_AC, Hyper(warmup_steps=64, initial_boundary=0.1, delta_minus=0.01, delta_plus=0.01)
@@ -14,7 +25,7 @@ HYPER = hyper_for(
 
 
 @functools.cache
-def agent_of(intervention):
+def agent_of(intervention, with_person=True):
     """The same object each time, so that what it compiles is shared."""
     config = AgentConfig(
         learner="td3",
@@ -24,18 +35,72 @@ def agent_of(intervention):
         boundary_batch_size=8,
         intervention=intervention,
     )
+    if not with_person:
+        return make_agent(config)
     return make_agent(config, judge=person.judge(), source=person.hands(4))
 
 
-def setup_of(intervention="takeover", **changes):
-    """Of a session with a person; a replay of 512 frames."""
+def setup_of(intervention="takeover", with_person=True, **changes):
+    """Of a session with a person, or with a simulated human; a replay of 512 frames."""
     setup = Setup(
-        agent=agent_of(intervention),
+        agent=agent_of(intervention, with_person),
         hyper=HYPER,
         loop=LoopConfig(capacity=512),
         method=Method.HITL_AC,
         seed=0,
-        with_person=True,
+        with_person=with_person,
         learns=True,
     )
     return setup._replace(**changes)
+
+
+class Served:
+    """A session that is served in a thread; with a port, on that one.
+
+    A journal that is there is gone on with: the session is then one that has played it.
+    """
+
+    def __init__(self, session, path, asks=False, answer_seconds=0.3, mode="train", port=0):
+        self.session, self.path = session, path
+        self._noted = journal.Journal(path, None if path.exists() else {})
+        self._socket = socket.create_server(("127.0.0.1", port))
+        self.port = self._socket.getsockname()[1]
+        self.address = f"http://127.0.0.1:{self.port}/?token={TOKEN}"
+        manners = Manners(mode, "HITL-AC, seed 0", asks, answer_seconds)
+        app = Live(Conductor(session, self._noted, manners), TOKEN, self.port).app()
+        config = uvicorn.Config(
+            app, log_level="error", ws_max_size=LONGEST_MESSAGE, timeout_graceful_shutdown=1
+        )
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=self._server.run, args=([self._socket],))
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._server.should_exit = True
+        self._thread.join()
+        self._noted.close()
+
+    def said(self):
+        """What the journal has of the person."""
+        return [line["said"] for line in journal.read(self.path)[1] if "said" in line]
+
+    def page(self, path, **headers):
+        """(status, body) of a page."""
+        request = urllib.request.Request(f"http://127.0.0.1:{self.port}{path}", headers=headers)
+        try:
+            with urllib.request.urlopen(request) as answer:
+                return answer.status, answer.read().decode()
+        except urllib.error.HTTPError as error:
+            return error.code, error.read().decode()
+
+    def open(self, token=TOKEN, origin=None):
+        """A page's socket."""
+        address = f"127.0.0.1:{self.port}"
+        return connect(
+            f"ws://{address}/socket?token={token}",
+            origin=origin or f"http://{address}",
+            legacy=True,
+        )

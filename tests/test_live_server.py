@@ -2,72 +2,15 @@
 
 import contextlib
 import json
-import socket
-import threading
 import time
-import urllib.error
-import urllib.request
 
 import pytest
-import uvicorn
-from live_team import setup_of
+from live_team import TOKEN, Served, setup_of
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
 
 from hitl_jax.live import journal
-from hitl_jax.live.conductor import Conductor, Manners
-from hitl_jax.live.server import LONGEST_MESSAGE, Live, Outbox, Rate
+from hitl_jax.live.server import LONGEST_MESSAGE, Outbox, Rate
 from hitl_jax.live.session import Session
-
-TOKEN = "a-token"
-
-
-class Served:
-    """A session that is served in a thread."""
-
-    def __init__(self, session, path, asks=False, answer_seconds=0.3):
-        self.session, self.path = session, path
-        self._noted = journal.Journal(path, {})
-        self._socket = socket.create_server(("127.0.0.1", 0))
-        self.port = self._socket.getsockname()[1]
-        manners = Manners("train", "HITL-AC, seed 0", asks, answer_seconds)
-        app = Live(Conductor(session, self._noted, manners), TOKEN, self.port).app()
-        config = uvicorn.Config(
-            app, log_level="error", ws_max_size=LONGEST_MESSAGE, timeout_graceful_shutdown=1
-        )
-        self._server = uvicorn.Server(config)
-        self._thread = threading.Thread(target=self._server.run, args=([self._socket],))
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self._server.should_exit = True
-        self._thread.join()
-        self._noted.close()
-
-    def said(self):
-        """What the journal has of the person."""
-        return [line["said"] for line in journal.read(self.path)[1] if "said" in line]
-
-    def page(self, path, **headers):
-        """(status, body) of a page."""
-        request = urllib.request.Request(f"http://127.0.0.1:{self.port}{path}", headers=headers)
-        try:
-            with urllib.request.urlopen(request) as answer:
-                return answer.status, answer.read().decode()
-        except urllib.error.HTTPError as error:
-            return error.code, error.read().decode()
-
-    def open(self, token=TOKEN, origin=None):
-        """A page's socket."""
-        address = f"127.0.0.1:{self.port}"
-        return connect(
-            f"ws://{address}/socket?token={token}",
-            origin=origin or f"http://{address}",
-            legacy=True,
-        )
 
 
 def _until(page, kind, true=lambda message: True, seconds=20):

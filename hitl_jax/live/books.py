@@ -95,8 +95,9 @@ class Books:
         bootstrap goes on.
         """
         layout, flags, places = self._agent.layout, self._flags, self.places(first, stop)
-        stands = np.isin(self._label[places], [label.number for label in labels])
-        stands |= not self._with_person
+        stands = np.full(len(places), not self._with_person)
+        if (self._label[places] != _NOBODY).any():
+            stands = np.isin(self._label[places], [label.number for label in labels])
         control, live = flags["control"][places] & stands, flags["live"][places]
         feedback = np.float32(self._hyper.feedback)
         shaped = arbiter.shaped_reward(

@@ -68,7 +68,7 @@ class Conductor:
         self._speed: float | None = 1.0
         self._asked: int | None = None
         self._left = 0.0
-        self._answered = False
+        self._noticed = False
         self._woken = asyncio.Event()
         self._shown: dict[int, float] = {}
         self._reactions: list[float] = []
@@ -128,7 +128,7 @@ class Conductor:
             self._speed = command["factor"]
         elif kind in ("danger", "take", "safe") and command.get("down", True):
             self._react(command["frame"])
-            self._answer()
+            self._asked = None
         self._woken.set()
         self._tell(self._status())
         if self._waits():
@@ -200,15 +200,12 @@ class Conductor:
         if frame.step == 0 and not frame.ended:
             self._tell(self._terrain())
         if not frame.alarmed:
-            self._answered, self._alarm_since = False, None
-        elif not self._answered and self._alarm_since is None and not session.controls:
+            self._noticed, self._alarm_since = False, None
+        elif not self._noticed and self._alarm_since is None and not session.controls:
             self._alarm_since = self._clock()
-            self._answered = True
+            self._noticed = True
             if self._manners.asks:
                 self._asked, self._left = frame.number, self._manners.answer_seconds
-
-    def _answer(self) -> None:
-        self._asked = None
 
     # What is told.
 

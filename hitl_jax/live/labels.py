@@ -43,7 +43,7 @@ def judged(labels: Sequence[Label], first: int, stop: int) -> np.ndarray:
     """Whether each frame of [first, stop) was judged dangerous, bool [stop - first]."""
     dangerous = np.zeros(max(stop - first, 0), bool)
     for label in labels:
-        if label.kind != "safe":
+        if label.kind != "safe" and (label.last is None or label.last >= first):
             end = stop if label.last is None else label.last + 1
             dangerous[max(label.first - first, 0) : max(end - first, 0)] = True
     return dangerous

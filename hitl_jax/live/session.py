@@ -46,6 +46,7 @@ class Setup(NamedTuple):
         with_person: whether a person judges.
         learns: whether it trains; else a trained walker is tested.
         start: networks to begin with, as `checkpoint.unflatten` gives them; None is from scratch.
+            They act from the first step on, and learn after the warm-up.
     """
 
     agent: Agent
@@ -105,6 +106,8 @@ class Session:
         self.setup = setup
         self.plant = Plant()
         self._hyper = typed(setup.hyper)
+        if setup.start is not None:  # It need not begin with random actions.
+            self._hyper = dataclasses.replace(self._hyper, warmup_steps=np.int32(0))
         learning, acting, _ = batch.run_keys(setup.seed, method_index(setup.method))
         train = agents.init(agent, learning)
         state = init_acting(agent, self._hyper, acting)

@@ -79,8 +79,10 @@ class Control {
 
   /** A click; for a hold it is one without a pointer, as from a screen reader. */
   tap() {
+    clearTimeout(this.tapping);
+    this.end("tap");
     this.begin("tap");
-    setTimeout(() => this.end("tap"), TAP);
+    this.tapping = setTimeout(() => this.end("tap"), TAP);
   }
 }
 

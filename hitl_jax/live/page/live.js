@@ -15,13 +15,18 @@ const root = document.documentElement;
 const state = {
   hello: null, role: "watcher", connected: false, frame: null, drawn: null, taken: false, toldUntil: 0,
   status: { paused: false, speed: 1, asking: null, danger_held: false },
-  episodes: [], deadline: 0, muted: false, reason: "",
+  wanted: { speed: 1, until: 0 }, episodes: [], deadline: 0, muted: false, reason: "",
 };
 
 /** Writes text, where it is not there already. */
 function write(id, text) {
   const place = element(id);
   if (place.textContent !== text) place.textContent = text;
+}
+
+/** A number with a true minus sign. */
+function decimal(value, digits) {
+  return value.toFixed(digits).replace("-", "−");
 }
 
 /** Writes a state as text, and as an attribute for its colour and shape. */
@@ -76,10 +81,10 @@ function drawFrame(frame, hello) {
   writeState("alarm", frame.alarm ? "yes" : "no");
   write("episode", `${frame.episode}`);
   write("step-number", `${frame.step}`);
-  write("return", frame.return.toFixed(1));
+  write("return", decimal(frame.return, 1));
   write("interventions", `${frame.interventions}`);
   write("steps", `${frame.steps}`);
-  write("indicator", `${frame.c.toFixed(2)} ${hello.unit}`);
+  write("indicator", `${decimal(frame.c, 2)} ${hello.unit}`);
   write("boundary", frame.tau === null ? "none" : `±${Math.abs(frame.tau).toFixed(3)} ${hello.unit}`);
 }
 
@@ -135,6 +140,7 @@ const listeners = {
   },
   status(status) {
     const before = state.status;
+    keepSpeed(status);
     state.status = status;
     if (status.paused !== before.paused) announce(status.paused ? "Paused." : "Running.");
     showStatus(status);
@@ -149,14 +155,21 @@ const listeners = {
 
 function episodesChanged() {
   const last = state.episodes.at(-1);
-  write("last-episode", last ? `last ${last.return.toFixed(1)}, ${last.end}, ${last.length} steps` : "");
+  write("last-episode", last ? `last ${decimal(last.return, 1)}, ${last.end}, ${last.length} steps` : "");
   redrawCharts();
+}
+
+/** A status that was on its way when the speed was changed does not change it back. */
+function keepSpeed(status) {
+  const { wanted } = state;
+  if (status.speed === wanted.speed) wanted.until = 0;
+  else if (performance.now() < wanted.until) status.speed = wanted.speed;
 }
 
 function showStatus(status) {
   const milliseconds = (value) => `${Math.round(value)} ms`;
   root.dataset.paused = status.paused;
-  writeState("running", status.paused ? "paused" : "running");
+  writeState("running", status.paused ? "paused" : status.asking ? "waiting" : "running");
   write("pause-text", status.paused ? "Resume" : "Pause");
   write("speed", SPEED_NAMES[SPEEDS.indexOf(status.speed)] ?? `${status.speed} ×`);
   write("rate", status.rate.toFixed(1));
@@ -229,6 +242,7 @@ function changeSpeed(by) {
   const now = SPEEDS.indexOf(state.status.speed);
   const next = Math.min(Math.max((now < 0 ? 3 : now) + by, 0), SPEEDS.length - 1);
   state.status.speed = SPEEDS[next];
+  state.wanted = { speed: SPEEDS[next], until: performance.now() + 1000 };
   write("speed", SPEED_NAMES[next]);
   send({ type: "speed", factor: SPEEDS[next] });
 }

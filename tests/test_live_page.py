@@ -1,0 +1,315 @@
+"""The live page in a browser: what a person does there with keys and clicks, and what it does."""
+
+import re
+import shutil
+import time
+
+import pytest
+from live_team import HYPER, Served, setup_of
+
+from hitl_jax.evaluation import frozen
+from hitl_jax.live.session import Session
+
+playwright = pytest.importorskip(
+    "playwright.sync_api", reason='there is no Playwright: pip install -e ".[browser]"'
+)
+expect = playwright.expect
+
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+_BROWSER = next(filter(None, map(shutil.which, _BROWSERS)), None)
+if _BROWSER is None:
+    pytest.skip(f"there is no browser: none of {', '.join(_BROWSERS)}", allow_module_level=True)
+
+_PATIENCE = 30_000  # Of what is waited for [ms]; nothing takes that long unless it fails.
+_NO_ALARM = HYPER.replace(initial_boundary=1.5, delta_minus=0.0)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    expect.set_options(timeout=_PATIENCE)
+    with playwright.sync_playwright() as tools:
+        one = tools.chromium.launch(executable_path=_BROWSER, args=["--no-sandbox"])
+        yield one
+        one.close()
+
+
+@pytest.fixture
+def page(browser):
+    """A window; what goes wrong in its script fails the test."""
+    one = browser.new_page(viewport={"width": 1280, "height": 720})
+    one.set_default_timeout(_PATIENCE)
+    wrong = []
+    one.on("pageerror", lambda error: wrong.append(str(error)))
+    yield one
+    one.close()
+    assert wrong == []
+
+
+@pytest.fixture
+def served(tmp_path):
+    """A session in which no alarm is raised."""
+    with Served(_session(), tmp_path / "journal.jsonl") as one:
+        yield one
+
+
+def _session(hyper=_NO_ALARM, **changes):
+    """One that does not learn, as the page only counts what is learned."""
+    return Session(setup_of(hyper=hyper, learns=False, **changes))
+
+
+def _open(page, served):
+    """Opens the page; it has drawn a frame then."""
+    page.goto(served.address)
+    _shows(page, "connection", "connected")
+    expect(page.locator("html")).to_have_attribute("data-frame", re.compile(r"\d"))
+
+
+def _shows(page, name, text):
+    expect(page.locator(f"#{name}")).to_have_text(text)
+
+
+def _comes_to(page, number):
+    """Waits until the page has drawn a frame that comes after one."""
+    _until(page, lambda: _drawn(page) > number)
+
+
+def _drawn(page):
+    return int(page.locator("html").get_attribute("data-frame"))
+
+
+def _until(page, true):
+    end = time.monotonic() + _PATIENCE / 1000
+    while not true():
+        assert time.monotonic() < end
+        page.wait_for_timeout(20)
+
+
+def _said(served, *kinds):
+    return [said for said in served.said() if said["type"] in kinds]
+
+
+def test_the_page_shows_the_walker(page, served):
+    told = []
+    page.on("console", lambda message: told.append(message.text))
+    _open(page, served)
+    _shows(page, "title", "HITL-AC, seed 0")
+    _shows(page, "mode", "training")
+    _shows(page, "role", "controller")
+    _shows(page, "control", "machine")
+    _shows(page, "gauge-name", "hull angle")
+    _shows(page, "boundary", "±1.500 rad")
+    _comes_to(page, 20)
+    expect(page.locator("#request")).to_be_hidden()
+    expect(page.locator("#take")).to_be_enabled()
+    expect(page.locator("#hip1-plus")).to_be_disabled()
+    assert told == []  # Nothing was refused by the page's own policy, nothing was missing.
+
+
+def test_danger_lasts_as_long_as_its_key(page, served):
+    _open(page, served)
+    page.keyboard.down("d")
+    _shows(page, "judgement", "danger")
+    began = _drawn(page)
+    _comes_to(page, began + 3)
+    page.keyboard.up("d")
+    _shows(page, "judgement", "safe")
+    [down, up] = _said(served, "danger")
+    assert (down["down"], up["down"]) == (True, False)
+    [label] = served.session.labels
+    assert (label.kind, label.first, label.last) == ("danger", down["frame"], up["frame"])
+    assert label.first <= began < label.last
+    page.locator("#safe").click()
+    _shows(page, "labels", "2")
+    [safe] = _said(served, "safe")
+    assert safe["frame"] > label.last
+
+
+def test_a_hold_ends_where_the_window_is_left(page, served):
+    _open(page, served)
+    page.locator("#danger").hover()
+    page.mouse.down()
+    _shows(page, "judgement", "danger")
+    page.evaluate("window.dispatchEvent(new Event('blur'))")
+    _shows(page, "judgement", "safe")
+    page.mouse.up()
+    page.keyboard.press("s")
+    _shows(page, "labels", "2")
+    assert [said["down"] for said in _said(served, "danger")] == [True, False]
+
+
+def test_the_last_label_is_taken_back(page, served):
+    _open(page, served)
+    page.keyboard.press("d")
+    _shows(page, "labels", "1")
+    page.locator("#safe").click()
+    _shows(page, "labels", "2")
+    page.keyboard.press("Backspace")
+    _shows(page, "labels", "1")
+    page.locator("#undo").click()
+    _shows(page, "labels", "0")
+    assert served.session.labels == []
+    assert [said["type"] for said in served.said()][-2:] == ["undo", "undo"]
+
+
+def test_a_person_takes_over_moves_and_lets_go(page, served):
+    _open(page, served)
+    page.keyboard.press("t")
+    _shows(page, "control", "person")
+    _shows(page, "take-text", "Let go")
+    page.keyboard.down("q")
+    _until(page, lambda: len(_said(served, "hands")) == 2)
+    first = served.session.frame.number
+    _comes_to(page, first + 3)
+    stop = served.session.frame.number
+    page.keyboard.up("q")
+    _until(page, lambda: len(_said(served, "hands")) == 3)
+    page.keyboard.press("t")
+    _shows(page, "control", "machine")
+    _shows(page, "take-text", "Take over")
+    expect(page.locator("#hip1-plus")).to_be_disabled()
+    still, forward = [0, 0, 0, 0], [1, 0, 0, 0]
+    assert [said["action"] for said in _said(served, "hands")] == [still, forward, still]
+    walked = served.session.actions(first, stop).tolist()
+    assert forward in walked
+    assert all(action in (forward, still) for action in walked)  # Zeros are of a reset.
+    [take, let_go] = _said(served, "take", "let_go")
+    [label] = served.session.labels
+    assert (label.kind, label.first) == ("take", take["frame"])
+    assert label.last == let_go["frame"] - 1
+
+
+def test_the_assistant_walks_while_its_key_is_held(page, served):
+    _open(page, served)
+    page.locator("#take").click()
+    _shows(page, "control", "person")
+    page.keyboard.down("g")
+    _until(page, lambda: len(_said(served, "assist")) == 1)
+    first = served.session.frame.number
+    _comes_to(page, first + 3)
+    assert served.session.actions(first, first + 3).any()
+    page.keyboard.up("g")
+    _until(page, lambda: len(_said(served, "assist")) == 2)
+    assert [said["on"] for said in _said(served, "assist")] == [True, False]
+
+
+def test_the_clock_stops_and_goes_by_single_steps(page, served):
+    _open(page, served)
+    expect(page.locator("#step")).to_be_disabled()
+    page.keyboard.press("Space")
+    page.wait_for_selector('[data-paused="true"]')
+    _shows(page, "running", "paused")
+    held = served.session.frame.number
+    page.keyboard.press("ArrowRight")
+    page.wait_for_selector(f'[data-frame="{held + 1}"]')
+    page.locator("#step").click()
+    page.wait_for_selector(f'[data-frame="{held + 2}"]')
+    assert served.session.frame.number == held + 2
+    page.locator("#pause").click()
+    page.wait_for_selector('[data-paused="false"]')
+    _comes_to(page, held + 5)
+
+
+def test_the_clock_goes_faster_and_slower(page, served):
+    _open(page, served)
+    # Presses that follow at once count from each other, not from what the server told last.
+    for key in ("+", "+", "+", "+"):
+        page.keyboard.press(key)
+    _until(page, lambda: len(_said(served, "speed")) == 4)
+    _shows(page, "speed", "max")
+    expect(page.locator("#chart-return")).to_have_attribute("aria-label", re.compile("Episode "))
+    for _ in range(5):
+        page.locator("#slower").click()
+    _until(page, lambda: len(_said(served, "speed")) == 9)
+    _shows(page, "speed", "1/2 ×")
+    factors = [said["factor"] for said in _said(served, "speed")]
+    assert factors == [2, 4, 8, None, 8, 4, 2, 1, 0.5]
+
+
+def test_a_second_window_watches(browser, page, served):
+    _open(page, served)
+    other = browser.new_page()
+    other.set_default_timeout(_PATIENCE)
+    _open(other, served)
+    _shows(other, "role", "watcher")
+    expect(other.locator("#danger")).to_be_disabled()
+    expect(other.locator("#danger")).to_have_attribute("title", re.compile("only watches"))
+    _shows(page, "watchers", "1")
+    other.keyboard.press("d")
+    other.close()
+    _shows(page, "watchers", "0")
+    assert served.said() == []
+
+
+def test_the_page_finds_a_server_that_was_started_again(page, tmp_path):
+    session, path = _session(), tmp_path / "journal.jsonl"
+    with Served(session, path) as served:
+        _open(page, served)
+        page.keyboard.press("t")
+        _shows(page, "control", "person")
+    page.wait_for_selector('[data-connection="reconnecting"]')
+    expect(page.locator("#message")).to_contain_text("The connection was lost")
+    expect(page.locator("#danger")).to_be_disabled()
+    held = session.frame.number
+    with Served(session, path, port=served.port) as again:
+        page.wait_for_selector('[data-connection="connected"]')
+        expect(page.locator("#message")).to_be_hidden()
+        _shows(page, "control", "machine")  # A page that was lost lets go.
+        _comes_to(page, held + 5)
+        page.keyboard.press("d")
+        _until(page, lambda: len(_said(again, "danger")) == 2)
+        _shows(page, "labels", "2")
+        assert session.labels[-1].first > held
+        kinds = [said["type"] for said in _said(again, "take", "let_go", "danger")]
+        assert kinds == ["take", "let_go", "danger", "danger"]
+
+
+def _asked(page, session):
+    """Waits until the walker asks, and the page has drawn the frame; its number."""
+    expect(page.locator("#request")).to_be_visible()
+    _until(page, lambda: _drawn(page) == session.frame.number)
+    assert session.frame.alarmed
+    return session.frame.number
+
+
+def test_the_walker_asks_and_is_answered_or_goes_on(page, tmp_path):
+    session = _session(frozen(HYPER, human_present=True))
+    path = tmp_path / "journal.jsonl"
+    with Served(session, path, mode="test", asks=True, answer_seconds=60) as served:
+        _open(page, served)
+        _shows(page, "mode", "test")
+        page.keyboard.press("+")
+        page.keyboard.press("+")
+        number = _asked(page, session)
+        _shows(page, "alarm", "yes")
+        _shows(page, "running", "waiting")
+        expect(page.locator("#request-left")).to_have_text(re.compile(r"^[0-5]?\d\.\d$"))
+        expect(page.locator("#request-default")).to_contain_text("Without an answer")
+        page.keyboard.press("d")
+        _shows(page, "control", "person")  # An alarm that is one hands the controls over.
+        [label] = session.labels
+        assert (label.kind, label.first) == ("take", number)
+        page.keyboard.press("t")
+        number = _asked(page, session)
+        page.locator("#request-safe").click()
+        _until(page, lambda: {"type": "safe", "frame": number} in served.said())
+        assert (session.labels[-1].kind, session.labels[-1].first) == ("safe", number)
+    with Served(session, path, mode="test", asks=True, port=served.port) as again:
+        page.wait_for_selector('[data-connection="connected"]')
+        _until(page, lambda: len(_said(again, "safe")) > 1)
+        frame = _said(again, "safe")[1]["frame"]
+        label = session.labels[2]
+        assert (label.kind, label.first, label.last) == ("safe", frame, frame)
+        _comes_to(page, frame)
+
+
+def test_where_a_simulated_human_judges_only_the_clock_is_the_persons(page, tmp_path):
+    session = _session(with_person=False)
+    with Served(session, tmp_path / "journal.jsonl", mode="watch") as served:
+        _open(page, served)
+        _shows(page, "mode", "watching")
+        for name in ("danger", "take", "hip1-plus", "reaction"):
+            expect(page.locator(f"#{name}")).to_be_hidden()
+        page.keyboard.press("d")
+        page.keyboard.press("Space")
+        page.wait_for_selector('[data-paused="true"]')
+        assert [said["type"] for said in served.said()] == ["pause"]
