@@ -105,9 +105,9 @@ class Session:
         agent = setup.agent
         self.setup = setup
         self.plant = Plant()
-        self._hyper = typed(setup.hyper)
-        if setup.start is not None:  # It need not begin with random actions.
-            self._hyper = dataclasses.replace(self._hyper, warmup_steps=np.int32(0))
+        # What was learned before need not begin with random actions.
+        warmup = setup.hyper.warmup_steps if setup.start is None else 0
+        self._hyper = typed(dataclasses.replace(setup.hyper, warmup_steps=warmup))
         learning, acting, _ = batch.run_keys(setup.seed, method_index(setup.method))
         train = agents.init(agent, learning)
         state = init_acting(agent, self._hyper, acting)
