@@ -190,18 +190,13 @@ def _serve(
     options: LiveOptions, session: Session, noted: journal.Journal, listening: socket.socket
 ) -> int:
     """Serves the page until a signal; the exit code."""
-    import uvicorn
-
-    from hitl_jax.live.server import LONGEST_MESSAGE, Live
+    from hitl_jax.live.server import Live
 
     port, token = listening.getsockname()[1], secrets.token_urlsafe(16)
     title = f"{options.method.upper()}, seed {options.seed}"
     asks = options.ask or options.mode == "test"
     manners = Manners(options.mode, title, asks, options.answer_seconds)
-    app = Live(Conductor(session, noted, manners), token, port).app()
-    config = uvicorn.Config(
-        app, log_level="warning", ws_max_size=LONGEST_MESSAGE, timeout_graceful_shutdown=1
-    )
+    page = Live(Conductor(session, noted, manners), token, port)
     address = f"http://{_HOST}:{port}/?token={token}"
     print(f"The page: {address}\nThe journal: {options.journal}")
     print("Ctrl-C ends; the same command goes on.", flush=True)
@@ -209,7 +204,7 @@ def _serve(
         webbrowser.open(address)
     with deferred_interrupts() as interrupted:
         # Uvicorn gives the signal that ended it on to who had it before.
-        asyncio.run(uvicorn.Server(config).serve(sockets=[listening]))
+        asyncio.run(page.serve(page.server(), listening))
         try:
             interrupted()
         except Interrupted as stopped:

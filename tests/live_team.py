@@ -1,19 +1,19 @@
 """A small session for the tests of the live page, and its server."""
 
+import asyncio
 import functools
 import socket
 import threading
 import urllib.error
 import urllib.request
 
-import uvicorn
 from websockets.sync.client import connect
 
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.live import journal, person
 from hitl_jax.live.conductor import Conductor, Manners
-from hitl_jax.live.server import LONGEST_MESSAGE, Live
+from hitl_jax.live.server import Live
 from hitl_jax.live.session import Setup
 from hitl_jax.runs import LoopConfig
 
@@ -67,12 +67,10 @@ class Served:
         self.port = self._socket.getsockname()[1]
         self.address = f"http://127.0.0.1:{self.port}/?token={TOKEN}"
         manners = Manners(mode, "HITL-AC, seed 0", asks, answer_seconds)
-        app = Live(Conductor(session, self._noted, manners), TOKEN, self.port).app()
-        config = uvicorn.Config(
-            app, log_level="error", ws_max_size=LONGEST_MESSAGE, timeout_graceful_shutdown=1
-        )
-        self._server = uvicorn.Server(config)
-        self._thread = threading.Thread(target=self._server.run, args=([self._socket],))
+        live = Live(Conductor(session, self._noted, manners), TOKEN, self.port)
+        self._server = live.server()
+        serve = functools.partial(live.serve, self._server, self._socket)
+        self._thread = threading.Thread(target=lambda: asyncio.run(serve()))
 
     def __enter__(self):
         self._thread.start()

@@ -1,15 +1,19 @@
 """The server of the live page, by a real socket: who may come, and what a person does there."""
 
+import asyncio
 import contextlib
 import json
+import socket
 import time
 
 import pytest
 from live_team import TOKEN, Served, setup_of
 from websockets.exceptions import ConnectionClosed
 
-from hitl_jax.live import journal
-from hitl_jax.live.server import LONGEST_MESSAGE, Outbox, Rate
+from hitl_jax.files import ResultsError
+from hitl_jax.live import journal, server
+from hitl_jax.live.conductor import Conductor, Manners
+from hitl_jax.live.server import LONGEST_MESSAGE, Live, Outbox, Rate
 from hitl_jax.live.session import Session
 
 
@@ -115,6 +119,16 @@ def test_one_controls_and_others_watch(served):
         _until(page, "frame", lambda m: m["n"] > held + 10)
 
 
+def test_who_watches_has_the_controls_after_a_while(served, monkeypatch):
+    monkeypatch.setattr(server, "_GRACE", 0.1)
+    with served.open() as first, served.open() as second:
+        assert _until(second, "hello")["role"] == "watcher"
+        first.close()
+        assert _until(second, "role")["role"] == "controller"
+        _say(second, "pause", on=True)
+        _until(second, "status", lambda m: m["paused"])
+
+
 def test_a_lost_page_lets_go_of_the_controls(served):
     with served.open() as page:
         frame = _until(page, "frame", lambda m: m["n"] > 3)
@@ -169,6 +183,19 @@ def test_the_walker_asks_and_goes_on(tmp_path):
         _until(page, "frame", lambda m: m["n"] > later["asking"]["frame"])
         assert {"type": "safe", "frame": later["asking"]["frame"]} in served.said()
         assert served.session.labels[-1].kind == "safe"
+
+
+def test_what_cannot_be_noted_is_not_played(tmp_path):
+    noted = journal.Journal(tmp_path / "journal.jsonl", {})
+    noted.close()
+    conductor = Conductor(Session(setup_of()), noted, Manners("train", "", False, 1.0))
+    conductor.come()
+    live = Live(conductor, TOKEN, 0)
+    with (
+        socket.create_server(("127.0.0.1", 0)) as listening,
+        pytest.raises(ResultsError, match="Bad file descriptor"),
+    ):
+        asyncio.run(live.serve(live.server(), listening))
 
 
 def test_a_slow_page_holds_nobody_up():

@@ -107,6 +107,7 @@ class Conductor:
     def come(self) -> None:
         """A person is there: it goes on as it was."""
         self._away = False
+        self._recent.clear()
         self._woken.set()
         self._tell(self._status())
 
@@ -120,6 +121,8 @@ class Conductor:
         """
         session, kind = self._session, command["type"]
         self._journal.said(session, command)
+        if kind in ("pause", "speed"):
+            self._recent.clear()  # Or the rate would mix paces.
         if kind == "pause":
             self._paused = command["on"]
         elif kind == "step":

@@ -40,6 +40,7 @@ class Journal:
         Raises:
             ResultsError: if it cannot be written, or another process writes it.
         """
+        self._path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             flags = os.O_WRONLY | os.O_APPEND | (0 if header is None else os.O_CREAT | os.O_EXCL)
@@ -81,7 +82,13 @@ class Journal:
         os.close(self._file)
 
     def _add(self, line: Line) -> None:
-        os.write(self._file, json.dumps(line, separators=(",", ":")).encode() + b"\n")
+        text = json.dumps(line, separators=(",", ":")).encode() + b"\n"
+        try:
+            if os.write(self._file, text) == len(text):
+                return
+        except OSError as error:
+            raise ResultsError(f"{self._path}: {error.strerror}") from error
+        raise ResultsError(f"{self._path}: No space left on device")
 
 
 def read(path: pathlib.Path) -> tuple[Line, list[Line]]:

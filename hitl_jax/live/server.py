@@ -5,9 +5,10 @@ import contextlib
 import json
 import pathlib
 import secrets
+import socket
 import time
-from collections.abc import AsyncIterator
 
+import uvicorn
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
@@ -30,6 +31,8 @@ _PAGE = pathlib.Path(__file__).parent / "page"
 _HOSTS = ("127.0.0.1", "localhost", "[::1]")
 _REFUSED, _TOO_MANY, _SLOW, _FOREIGN = 4403, 4429, 4408, 4400
 _WAITING = 500
+_GRACE = 5.0
+"""For how long the controls are kept for a page that was lost, before another has them [s]."""
 _HEADERS = {
     "Content-Security-Policy": "default-src 'self'; frame-ancestors 'none'; base-uri 'none'",
     "Referrer-Policy": "no-referrer",
@@ -88,6 +91,22 @@ class Rate:
         return allowed
 
 
+class _Visitor:
+    """An open page."""
+
+    def __init__(self, page: WebSocket, controls: bool):
+        self.page, self.controls, self.outbox = page, controls, Outbox()
+
+    def hear(self, message: Message) -> None:
+        """Takes what the conductor tells."""
+        if message["type"] == "hello":
+            message = {**message, "role": "controller" if self.controls else "watcher"}
+        self.outbox.put(message)
+
+    def complain(self, text: str) -> None:
+        self.outbox.put({"type": "error", "message": text})
+
+
 class Live:
     """The server of one session."""
 
@@ -101,31 +120,42 @@ class Live:
         """
         self._conductor, self._token = conductor, token
         self._origins = {f"http://{host}:{port}" for host in _HOSTS}
-        self._controller: WebSocket | None = None
+        self._visitors: list[_Visitor] = []
 
-    def app(self) -> Starlette:
-        """The application; it plays the session for as long as it is served."""
+    def server(self) -> uvicorn.Server:
+        """What `serve` takes; to end it, set its `should_exit`."""
+        config = uvicorn.Config(
+            self._app(),
+            log_level="warning",
+            lifespan="off",
+            ws_max_size=LONGEST_MESSAGE,
+            timeout_graceful_shutdown=1,
+        )
+        return uvicorn.Server(config)
 
-        @contextlib.asynccontextmanager
-        async def lifespan(_: Starlette) -> AsyncIterator[None]:
-            playing = asyncio.create_task(self._conductor.run())
-            try:
-                yield
-            finally:
-                playing.cancel()
-                with contextlib.suppress(asyncio.CancelledError):
-                    await playing
+    async def serve(self, server: uvicorn.Server, listening: socket.socket) -> None:
+        """Serves the page and plays the session until the server is told to end.
 
+        Raises:
+            ResultsError: if the journal cannot be written: nothing is played that is not noted.
+        """
+        playing = asyncio.create_task(self._conductor.run())
+        playing.add_done_callback(lambda _: setattr(server, "should_exit", True))
+        await server.serve(sockets=[listening])
+        playing.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await playing
+
+    def _app(self) -> Starlette:
         files = [Route(f"/{path.name}", self._file) for path in _PAGE.iterdir() if path.is_file()]
         return Starlette(
             routes=[
                 Route("/", self._page),
                 *files,
                 Route("/favicon.ico", _nothing),
-                WebSocketRoute("/socket", self._socket),
+                WebSocketRoute("/socket", self._visit),
             ],
             middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=list(_HOSTS))],
-            lifespan=lifespan,
         )
 
     def _knows(self, token: str | None) -> bool:
@@ -142,59 +172,62 @@ class Live:
     async def _file(self, request: Request) -> Response:
         return FileResponse(_PAGE / request.url.path.lstrip("/"), headers=_HEADERS)
 
-    async def _socket(self, socket: WebSocket) -> None:
-        origin = socket.headers.get("origin")
-        await socket.accept()
+    async def _visit(self, page: WebSocket) -> None:
+        """A page's socket, from when it comes to when it goes."""
+        origin = page.headers.get("origin")
+        await page.accept()
         if origin is not None and origin not in self._origins:
-            await socket.close(_FOREIGN, "another site's page may not speak to this session")
+            await page.close(_FOREIGN, "another site's page may not speak to this session")
             return
-        if not self._knows(socket.query_params.get("token")):
-            await socket.close(
-                _REFUSED, "the address needs the token that experiments.live printed"
-            )
+        if not self._knows(page.query_params.get("token")):
+            await page.close(_REFUSED, "the address needs the token that experiments.live printed")
             return
-        outbox = Outbox()
-        controls = self._controller is None
-        role = "controller" if controls else "watcher"
-
-        def listener(message: Message) -> None:
-            outbox.put({**message, "role": role} if message["type"] == "hello" else message)
-
-        self._conductor.listen(listener)
-        if controls:
-            self._controller = socket
+        visitor = _Visitor(page, controls=not any(other.controls for other in self._visitors))
+        self._visitors.append(visitor)
+        self._conductor.listen(visitor.hear)
+        if visitor.controls:
             self._conductor.come()
-        sending = asyncio.create_task(_send(socket, outbox))
+        sending = asyncio.create_task(_send(visitor))
         try:
-            await self._hear(socket, outbox, controls)
+            await self._hear(visitor)
         except (WebSocketDisconnect, RuntimeError):
             pass
         finally:
             sending.cancel()
-            self._conductor.forget(listener)
-            if controls:
-                self._controller = None
+            self._visitors.remove(visitor)
+            self._conductor.forget(visitor.hear)
+            if visitor.controls:
                 self._conductor.leave()
+                asyncio.get_running_loop().call_later(_GRACE, self._pass_on)
 
-    async def _hear(self, socket: WebSocket, outbox: Outbox, controls: bool) -> None:
+    def _pass_on(self) -> None:
+        """Gives the controls to who has watched longest, if nobody came back for them."""
+        if self._visitors and not any(visitor.controls for visitor in self._visitors):
+            heir = self._visitors[0]
+            heir.controls = True
+            heir.outbox.put({"type": "role", "role": "controller"})
+            self._conductor.come()
+
+    async def _hear(self, visitor: _Visitor) -> None:
         """Does what a page says until it goes or is sent away."""
         rate, wrong = Rate(MOST_MESSAGES), 0
         while True:
-            text = await socket.receive_text()
+            text = await visitor.page.receive_text()
             if not rate.allows():
                 reason = f"more than {MOST_MESSAGES} messages a second"
-                await socket.close(_TOO_MANY, reason)
+                await visitor.page.close(_TOO_MANY, reason)
                 return
             try:
                 command = commands.parse(text)
-                if not controls:
+                if not visitor.controls:
                     raise ValueError("somebody else controls this session; you can watch")
                 self._conductor.say(command)
             except ValueError as error:
                 wrong += 1
-                outbox.put({"type": "error", "message": str(error)})
+                visitor.complain(str(error))
             if wrong > _PATIENCE:
-                await socket.close(_FOREIGN, f"more than {_PATIENCE} messages that mean nothing")
+                reason = f"more than {_PATIENCE} messages that mean nothing"
+                await visitor.page.close(_FOREIGN, reason)
                 return
 
 
@@ -202,11 +235,12 @@ async def _nothing(_: Request) -> Response:
     return Response(status_code=204)
 
 
-async def _send(socket: WebSocket, outbox: Outbox) -> None:
+async def _send(visitor: _Visitor) -> None:
     """Sends what waits; one who is too slow is sent away, and holds nobody up."""
+    page, outbox = visitor.page, visitor.outbox
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-        while socket.application_state is WebSocketState.CONNECTED:
+        while page.application_state is WebSocketState.CONNECTED:
             for message in await outbox.take():
-                await socket.send_text(json.dumps(message, separators=(",", ":")))
+                await page.send_text(json.dumps(message, separators=(",", ":")))
             if outbox.slow:
-                await socket.close(_SLOW, "this page is too slow for the session")
+                await page.close(_SLOW, "this page is too slow for the session")
