@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import errno
 import json
 import socket
 import time
@@ -185,17 +186,21 @@ def test_the_walker_asks_and_goes_on(tmp_path):
         assert served.session.labels[-1].kind == "safe"
 
 
-def test_what_cannot_be_noted_is_not_played(tmp_path):
+def test_what_cannot_be_noted_is_not_played(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
     noted = journal.Journal(tmp_path / "journal.jsonl", {})
-    noted.close()
+    monkeypatch.setattr(journal.os, "write", full)
     conductor = Conductor(Session(setup_of()), noted, Manners("train", "", False, 1.0))
     conductor.come()
     live = Live(conductor, TOKEN, 0)
     with (
         socket.create_server(("127.0.0.1", 0)) as listening,
-        pytest.raises(ResultsError, match="Bad file descriptor"),
+        pytest.raises(ResultsError, match="No space left on device"),
     ):
         asyncio.run(live.serve(live.server(), listening))
+    noted.close()
 
 
 def test_a_slow_page_holds_nobody_up():
