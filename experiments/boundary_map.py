@@ -106,10 +106,8 @@ def draw(folder: ResultsFolder) -> list[pathlib.Path]:
     Raises:
         ResultsError: if the data are damaged.
     """
-    path = folder.path / DATA
-    with named_errors(path):
-        cells = cells_from_csv(path.read_text(), _COLUMNS)
-        angle, velocity, _, boundary = (np.array(column, float) for column in cells.values())
+    with named_errors(folder.path / DATA):
+        angle, velocity, _, boundary = _cells(folder)
         edges = (_ANGLES, _VELOCITIES)
         sums, counts = (
             np.histogram2d(angle, velocity, bins=edges, weights=weights)[0]
@@ -130,6 +128,23 @@ def draw(folder: ResultsFolder) -> list[pathlib.Path]:
         axes.set(xlabel="hull angle [rad]", ylabel="hull angular velocity [rad/s]")
         axes.set_title(title, fontsize=8.0)
         return save(figure, folder.path / "figures" / "figure9_map")
+
+
+def told(folder: ResultsFolder) -> tuple[np.ndarray, np.ndarray]:
+    """Steps in each cell of the map, and the mean boundary there, [C] each.
+
+    Raises:
+        ResultsError: if the data are damaged.
+    """
+    with named_errors(folder.path / DATA):
+        _, _, steps, boundary = _cells(folder)
+        return steps, boundary
+
+
+def _cells(folder: ResultsFolder) -> list[np.ndarray]:
+    """The columns of the data, [C] each."""
+    cells = cells_from_csv((folder.path / DATA).read_text(), _COLUMNS)
+    return [np.array(column, float) for column in cells.values()]
 
 
 def _visits(agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunKey) -> np.ndarray:

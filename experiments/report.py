@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments import alarm_figure
+from experiments import alarm_figure, boundary_map
 from experiments.ablation import AblationOptions, lines_of, write_ablation
 from experiments.ablations.settings import ABLATIONS
 from experiments.ablations.store import Store
@@ -30,6 +30,7 @@ from hitl_jax.results import ResultsFolder, Run, flatten
 from hitl_jax.summary import write_summary
 
 _STARTS = "initial-boundary"
+_NETWORK = "network"
 _COMPARED = (Method.HITL_FIX, Method.HITL_AC)
 
 _FIGURES = {
@@ -62,8 +63,8 @@ class ReportOptions:
     """Rebuilds REPORT.md, the summaries, the tables and the figures of a folder of results.
 
     Attributes:
-        results: the folder, with `ten_seeds`, `ten_seeds_ddpg`, `ablations` and `tuning` in it;
-            what is missing is said in the report.
+        results: the folder, with `ten_seeds`, `ten_seeds_ddpg`, `ablations`, `network` and
+            `tuning` in it; what is missing is said in the report.
     """
 
     results: str = "results"
@@ -85,7 +86,8 @@ def main(options: ReportOptions) -> int:
         parts = [_HEAD]
         for comparison in _COMPARISONS:
             parts.append(_comparison(comparison, root))
-        parts += [_ablations(root / "ablations"), _tuning(root / "tuning"), _settings(root)]
+        parts += [_ablations(root / "ablations"), _map(root / _NETWORK)]
+        parts += [_tuning(root / "tuning"), _settings(root)]
         path = root / "REPORT.md"
         write_text_atomic(path, "\n".join(parts))
     except ResultsError as error:
@@ -205,6 +207,30 @@ def _ablations(folder: pathlib.Path) -> str:
         else:
             parts.append(f"### {ABLATIONS[name].title}\n\nNot run yet.\n")
     return "\n".join(parts)
+
+
+def _map(path: pathlib.Path) -> str:
+    """The boundary over the state, where a network gives it."""
+    title = "## The boundary over the state, with `--boundary-source network`\n"
+    folder = ResultsFolder(path)
+    if not (path / boundary_map.DATA).exists():
+        return f"{title}\nNot run yet.\n"
+    write_summary(folder, np.random.default_rng(stats.SEED))
+    draw_all(folder, np.random.default_rng(stats.SEED))
+    boundary_map.draw(folder)
+    steps, boundary = boundary_map.told(folder)
+    config, runs = folder.load_config(), len(folder.finished())
+    hyper = config["hyper"]
+    return (
+        f"{title}\n{runs} runs of {config['episodes']} episodes; the autonomous test, "
+        f"{steps.sum():,.0f} steps. The mean boundary is "
+        f"{np.average(boundary, weights=steps):.2f} rad, of the cells from {boundary.min():.2f} to "
+        f"{boundary.max():.2f}; its bounds are {hyper['boundary_low']} and "
+        f"{hyper['boundary_high']}, it began at {hyper['initial_boundary']}, and the human's "
+        f"tolerance is {hyper['human']['tolerance']}. Tables: "
+        f"[{path.name}/summary.md]({path.name}/summary.md).\n\n"
+        f"![the boundary over hull angle and its velocity]({path.name}/figures/figure9_map.png)\n"
+    )
 
 
 def _starts(options: AblationOptions, store: Store) -> list[str]:

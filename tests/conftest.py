@@ -5,6 +5,8 @@ import os
 import shutil
 import tempfile
 
+import pytest
+
 # The devices that learn on a machine of two cores, whatever this one has.
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -27,6 +29,16 @@ _LONGEST = (
     "test_agent",
     "test_batch",
 )
+
+
+@pytest.fixture(scope="module")
+def compiled_in_haste():
+    """For what is right or wrong however it is rounded: compiling takes two thirds of the time."""
+    import jax
+
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
 
 
 def pytest_collection_modifyitems(items):

@@ -8,6 +8,8 @@ from experiments import brax_ppo
 from experiments.cli import BadInput
 from hitl_jax.walker.brax_env import BipedalWalker
 
+pytestmark = pytest.mark.usefixtures("compiled_in_haste")
+
 WALKERS = 16
 
 
@@ -25,16 +27,7 @@ def test_brax_wraps_it():
     assert env.action_size == 4
 
 
-@pytest.fixture
-def compiled_in_haste():
-    """That an agent trains is asked, not how fast: half a minute of compiling less."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.usefixtures("compiled_in_haste")
 def test_braxs_ppo_trains_on_it(monkeypatch):
     from brax.training.agents.ppo import train
 

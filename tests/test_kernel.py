@@ -16,6 +16,8 @@ from hitl_jax.walker.plane import Speeds, Vec, pose
 from hitl_jax.walker.rarely import where_needed
 from hitl_jax.walker.thread import cosine, sine
 
+pytestmark = pytest.mark.usefixtures("compiled_in_haste")
+
 _WALKERS = 3
 
 
