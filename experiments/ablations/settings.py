@@ -143,7 +143,7 @@ ABLATIONS: dict[str, Ablation] = {
         ),
     ),
     "human-tolerance": Ablation(
-        "Hull angle from which the human sees danger [rad]",
+        "The human's threshold of danger [rad]",
         (
             *_each("tolerance", (0.3,), _AC),
             Setting("0.45 (default)"),
