@@ -85,6 +85,18 @@ def test_a_person_judges_takes_over_and_takes_back(served):
     assert kinds[:4] == ["take", "hands", "let_go", "undo"]
 
 
+def test_a_label_that_comes_300_ms_late_goes_to_the_frame_that_was_seen(served):
+    with served.open() as page:
+        seen = _until(page, "frame", lambda m: m["n"] > 10)["n"]
+        time.sleep(0.3)
+        _say(page, "danger", down=True, frame=seen)
+        _say(page, "danger", down=False, frame=seen)
+        _until(page, "status", lambda m: m["labels"] == 1)
+        [label] = served.session.labels
+        assert label.first == seen
+        assert label.came >= seen + 10
+
+
 def test_pause_step_and_speed(served):
     with served.open() as page:
         _until(page, "frame", lambda m: m["n"] > 5)

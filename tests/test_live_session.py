@@ -14,6 +14,7 @@ from hitl_jax.files import ResultsError
 from hitl_jax.live import commands, journal, person
 from hitl_jax.live.labels import Label, judged, moved
 from hitl_jax.live.session import Session
+from hitl_jax.runs import LoopConfig
 
 
 def _play(session, until):
@@ -207,7 +208,7 @@ def test_labels_cover_their_frames():
     assert judged(labels, 5, 5).shape == (0,)
 
 
-def _act_upon(noted, session, upto, rng):
+def _act_upon(noted, session, upto, rng, share=0.2):
     """Somebody who says all kinds of things."""
     while session.frame.number < upto:
         number, lottery = session.frame.number, rng.random()
@@ -222,7 +223,7 @@ def _act_upon(noted, session, upto, rng):
             6: {"type": "assist", "on": bool(rng.random() < 0.5)},
             7: {"type": "pause", "on": True},
         }
-        if lottery < 0.2:
+        if lottery < share:
             noted.said(session, commands.parse(json.dumps(said[int(rng.integers(8))])))
         session.tick()
         noted.played(session)
@@ -255,6 +256,24 @@ def test_a_journal_plays_the_session_again(tmp_path):
     assert all(json.loads(line) for line in path.read_text().splitlines())
     with pytest.raises(ResultsError, match="File exists"):
         journal.Journal(path, {})
+
+
+def test_ten_minutes_killed_at_any_moment_play_again(tmp_path):
+    """Of a walker's time: 30,000 frames. The checksums of all chunks are compared as it plays."""
+    whole, cut = tmp_path / "whole.jsonl", tmp_path / "cut.jsonl"
+    # It learns a little, to end sooner.
+    setup = setup_of(loop=LoopConfig(capacity=512, chunk=64, updates_per_step=1 / 32))
+    session, noted = Session(setup), journal.Journal(whole, {})
+    _act_upon(noted, session, 30_000, np.random.default_rng(3), share=0.02)
+    noted.close()
+    written = whole.read_bytes()
+    moment = int(np.random.default_rng().integers(len(written)))
+    cut.write_bytes(written[:moment])
+    print(f"killed as byte {moment} was written")  # Shown where it fails.
+    _, lines = journal.read(cut)
+    again = Session(setup)
+    list(journal.play(again, lines, cut))
+    assert again.frame.number == (lines[-1]["at"] if lines else 0)
 
 
 def test_another_session_is_noticed(tmp_path):
