@@ -26,6 +26,7 @@ _LONGEST = (
     "test_walker",
     "test_rollout",
     "test_ablation",
+    "test_live_session",
     "test_agent",
     "test_batch",
 )
