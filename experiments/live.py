@@ -18,6 +18,7 @@ import tyro
 
 from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
+from experiments.options import require_team
 from experiments.signals import Interrupted, deferred_interrupts
 from experiments.training import policy_digest
 from hitl_jax import checkpoint, human_actions
@@ -81,10 +82,11 @@ class LiveOptions:
         """
         _one_of("mode", self.mode, MODES)
         _one_of("method", self.method, (str(Method.HITL_AC), str(Method.HITL_FIX)))
-        require("seed", self.seed, at_least=0)
+        require("seed", self.seed, at_least=0, at_most=2**32 - 1)
         require("answer_seconds", self.answer_seconds, at_least=0.1)
         require("port", self.port, at_least=0, at_most=65535)
         validate_hyper(self.hyper)
+        require_team(self.agent, self.loop)
         if self.mode == "test" and self.start is None:
             raise ValueError("--start (none): --mode test needs a run's params.npz")
         if self.with_person:
@@ -92,7 +94,6 @@ class LiveOptions:
             _one_of("boundary-source", self.agent.boundary_source, ("rule",))
             _one_of("feedback-schedule", self.agent.feedback_schedule, ("step",))
             _one_of("release", self.agent.release, ("judgement",))
-        self.loop.num_updates(self.agent.task_learner.policy_delay)
         return self
 
     @property
@@ -258,7 +259,10 @@ def _listen(port: int) -> socket.socket:
 def _networks(path: str) -> dict[str, Any]:
     try:
         with np.load(path, allow_pickle=False) as archive:
-            return checkpoint.unflatten({name: archive[name] for name in archive.files})
+            networks = checkpoint.unflatten({name: archive[name] for name in archive.files})
+        if np.shape(networks["boundary"]) != ():
+            raise ValueError("its boundary is no number")
+        return networks
     except Exception as error:  # A flipped bit can make of zipfile's and NumPy's errors any.
         raise ValueError(f"--start {path}: is no checkpoint that can be read") from error
 

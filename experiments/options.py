@@ -105,9 +105,18 @@ class SweepOptions:
             require("workers", self.workers, at_least=1)
         require("save_seconds", self.save_seconds, at_least=0.0)
         validate_hyper(self.hyper)
-        for name in ("observation_size", "action_size"):
-            has = getattr(AgentConfig(), name)
-            require(name, getattr(self.agent, name), at_least=has, at_most=has)
-        require("n_step", self.agent.n_step, at_most=self.loop.frames // 2)
-        self.loop.num_updates(self.agent.task_learner.policy_delay)
+        require_team(self.agent, self.loop)
         return self
+
+
+def require_team(agent: AgentConfig, loop: LoopConfig) -> None:
+    """Checks that a team fits the walker and its loop.
+
+    Raises:
+        ValueError: one line with the option, the value and what is allowed.
+    """
+    for name in ("observation_size", "action_size"):
+        has = getattr(AgentConfig(), name)
+        require(name, getattr(agent, name), at_least=has, at_most=has)
+    require("n_step", agent.n_step, at_most=loop.frames // 2)
+    loop.num_updates(agent.task_learner.policy_delay)

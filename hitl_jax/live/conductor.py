@@ -20,7 +20,7 @@ RATE = 50.0
 _SLICE = 0.015
 """For how long a session that is to be quick plays before others have their turn [s]."""
 _STATUS_EVERY = 0.25
-_SHOWN = 2000
+_clock = time.monotonic
 _UNITS = {"hull_angle": "rad", "hull_angular_velocity": "1", "weighted": "rad"}
 
 Message = dict[str, Any]
@@ -45,22 +45,15 @@ class Manners(NamedTuple):
 class Conductor:
     """Plays a session in time; see the module."""
 
-    def __init__(
-        self,
-        session: Session,
-        journal: Journal,
-        manners: Manners,
-        clock: Callable[[], float] = time.monotonic,
-    ):
+    def __init__(self, session: Session, journal: Journal, manners: Manners):
         """Takes a session over; `run` plays it.
 
         Args:
             session: what is played.
             journal: where all of it is noted.
             manners: how it is shown.
-            clock: seconds that only grow.
         """
-        self._session, self._journal, self._manners, self._clock = session, journal, manners, clock
+        self._session, self._journal, self._manners = session, journal, manners
         self._listeners: list[Callable[[Message], None]] = []
         self._paused = False
         self._away = True
@@ -70,18 +63,15 @@ class Conductor:
         self._left = 0.0
         self._noticed = False
         self._woken = asyncio.Event()
-        self._shown: dict[int, float] = {}
         self._reactions: list[float] = []
         self._alarm_since: float | None = None
         self._recent: deque[float] = deque(maxlen=int(RATE))
-        self.watchers = 0
 
     # Who watches.
 
     def listen(self, listener: Callable[[Message], None]) -> None:
         """Tells somebody everything from now on, and first where things stand."""
         self._listeners.append(listener)
-        self.watchers = len(self._listeners)
         for message in (self._hello(), self._history(), self._terrain(), self._frame()):
             listener(message)
         self._tell(self._status())
@@ -89,7 +79,6 @@ class Conductor:
     def forget(self, listener: Callable[[Message], None]) -> None:
         """Tells somebody no more."""
         self._listeners.remove(listener)
-        self.watchers = len(self._listeners)
         self._tell(self._status())
 
     def leave(self) -> None:
@@ -130,34 +119,33 @@ class Conductor:
         elif kind == "speed":
             self._speed = command["factor"]
         elif kind in ("danger", "take", "safe") and command.get("down", True):
-            self._react(command["frame"])
+            self._react()
             self._asked = None
         self._woken.set()
         self._tell(self._status())
         if self._waits():
             self._tell(self._frame())
 
-    def _react(self, number: int) -> None:
-        """How long after the alarm was first seen it was answered."""
-        seen = self._shown.get(number)
-        if self._alarm_since is not None and seen is not None:
-            self._reactions.append(1000 * max(self._clock() - self._alarm_since, 0.0))
+    def _react(self) -> None:
+        """How long after the alarm was first shown it was answered."""
+        if self._alarm_since is not None:
+            self._reactions.append(1000 * (_clock() - self._alarm_since))
             self._alarm_since = None
 
     # Time.
 
     async def run(self) -> None:
         """Plays for ever; ends when it is cancelled."""
-        due = told = self._clock()
+        due = told = _clock()
         while True:
             if self._waits():
                 due = await self._wait()
             else:
-                self._play(until=self._clock() + _SLICE if self._speed is None else None)
+                self._play(until=_clock() + _SLICE if self._speed is None else None)
                 due = self._next(due)
-                await asyncio.sleep(max(due - self._clock(), 0.0))
-            if self._clock() - told >= _STATUS_EVERY:
-                told = self._clock()
+                await asyncio.sleep(max(due - _clock(), 0.0))
+            if _clock() - told >= _STATUS_EVERY:
+                told = _clock()
                 self._tell(self._status())
 
     def _waits(self) -> bool:
@@ -166,28 +154,28 @@ class Conductor:
 
     async def _wait(self) -> float:
         """Waits for a command, and counts down while it asks; when the next step is due."""
-        before = self._clock()
+        before = _clock()
         self._woken.clear()
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._woken.wait(), _STATUS_EVERY)
         if self._asked is not None and not self._paused and not self._away:
-            self._left -= self._clock() - before
+            self._left -= _clock() - before
             if self._left <= 0:
                 self.say({"type": "safe", "frame": self._asked})
-        return self._clock()
+        return _clock()
 
     def _next(self, due: float) -> float:
         """When the step after the one that was due is to be made; time that was lost is lost."""
         if self._speed is None:
-            return self._clock()
+            return _clock()
         period = 1.0 / (RATE * self._speed)
-        return max(due + period, self._clock() - period)
+        return max(due + period, _clock() - period)
 
     def _play(self, until: float | None) -> None:
         """A step, or as many as can be made until then, and shows the last."""
         while True:
             self._step()
-            if self._waits() or until is None or self._clock() >= until:
+            if self._waits() or until is None or _clock() >= until:
                 break
         self._tell(self._frame())
 
@@ -196,7 +184,7 @@ class Conductor:
         self._steps_due = max(self._steps_due - 1, 0)
         row = session.tick()
         self._journal.played(session)
-        self._recent.append(self._clock())
+        self._recent.append(_clock())
         frame = session.frame
         if row is not None:
             self._tell({"type": "episode", **_shown_row(row)})
@@ -205,7 +193,7 @@ class Conductor:
         if not frame.alarmed:
             self._noticed, self._alarm_since = False, None
         elif not self._noticed and self._alarm_since is None and not session.controls:
-            self._alarm_since = self._clock()
+            self._alarm_since = _clock()
             self._noticed = True
             if self._manners.asks:
                 self._asked, self._left = frame.number, self._manners.answer_seconds
@@ -245,9 +233,6 @@ class Conductor:
     def _frame(self) -> Message:
         session = self._session
         frame = session.frame
-        self._shown[frame.number] = self._clock()
-        if len(self._shown) > _SHOWN:
-            del self._shown[next(iter(self._shown))]
         watched = not session.setup.with_person
         before = max(frame.number - 1, 0)
         simulated = watched and session.flag("control", before)
@@ -280,7 +265,7 @@ class Conductor:
             "paused": self._paused or self._away,
             "speed": self._speed,
             "asking": asking,
-            "watchers": max(self.watchers - 1, 0),
+            "watchers": max(len(self._listeners) - 1, 0),
             "labels": len(session.labels),
             "reaction_ms": round(reactions[-1]) if reactions else None,
             "median_reaction_ms": round(statistics.median(reactions)) if reactions else None,
