@@ -28,7 +28,8 @@ from hitl_jax.evaluation import frozen
 from hitl_jax.files import write_bytes_atomic
 from hitl_jax.live import journal, person
 from hitl_jax.live.conductor import Conductor, Manners
-from hitl_jax.live.session import Session, Setup
+from hitl_jax.live.session import Session
+from hitl_jax.live.setup import Setup
 from hitl_jax.networks import Actor
 from hitl_jax.provenance import git_commit, processor, versions
 from hitl_jax.runs import LoopConfig

@@ -14,7 +14,7 @@ from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.live import journal, person
 from hitl_jax.live.conductor import Conductor, Manners
 from hitl_jax.live.server import Live
-from hitl_jax.live.session import Setup
+from hitl_jax.live.setup import Setup
 from hitl_jax.runs import LoopConfig
 
 TOKEN = "a-token"

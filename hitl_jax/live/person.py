@@ -6,11 +6,15 @@ import chex
 import jax.numpy as jnp
 from flax import struct
 
+from hitl_jax import boundary
 from hitl_jax.acting import ActingState
 from hitl_jax.agent import Agent
 from hitl_jax.arbiter import ArbiterState
+from hitl_jax.config import RunHyper
+from hitl_jax.decisions import act_or_begin
 from hitl_jax.human import HumanParams, HumanPart
 from hitl_jax.human_actions import ActionSource, State, scripted_walker
+from hitl_jax.types import Behavior
 
 
 @struct.dataclass
@@ -110,3 +114,43 @@ def tell(agent: Agent, state: ActingState, told: Told) -> ActingState:
         source=dataclasses.replace(state.source, assisted=told.assisted, action=told.action),
         arbiter=memory,
     )
+
+
+def act(
+    agent: Agent,
+    hyper: RunHyper,
+    behavior: Behavior,
+    state: ActingState,
+    observation: chex.Array,
+    told: Told | None,
+) -> tuple[ActingState, chex.Array]:
+    """One step of acting.
+
+    Args:
+        agent: the team.
+        hyper: the run's hyperparameters, scalars.
+        behavior: what acting needs of the parameters.
+        state: the acting state.
+        observation: s_t, [O].
+        told: what the person does; None where there is none.
+
+    Returns:
+        As `decisions.act_or_begin`.
+    """
+    if told is not None:
+        state = tell(agent, state, told)
+    return act_or_begin(agent, hyper, behavior, state, observation, jnp.asarray(True))
+
+
+def see(
+    agent: Agent, observation: chex.Array, boundary_now: chex.Array
+) -> tuple[chex.Array, chex.Array]:
+    """c_t, [], and whether it raises the alarm, bool [].
+
+    Args:
+        agent: the team.
+        observation: s_t, [O].
+        boundary_now: τ_t, [].
+    """
+    indicator = agent.indicator(observation)
+    return indicator, boundary.alarm(indicator, boundary_now)

@@ -10,7 +10,6 @@ been played stays as it was: alarms, control, steps.
 """
 
 import dataclasses
-import functools
 import zlib
 from typing import NamedTuple
 
@@ -18,11 +17,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax import agent as agents
-from hitl_jax import batch, boundary, decisions
+from hitl_jax import batch, decisions
 from hitl_jax.acting import ActingState, begin_episode, init_acting
-from hitl_jax.agent import Agent
-from hitl_jax.config import Method, RunHyper, typed
+from hitl_jax.config import typed
 from hitl_jax.devices import acting_device
 from hitl_jax.episodes import EpisodeCounter, Row, Step
 from hitl_jax.live import person
@@ -30,33 +27,9 @@ from hitl_jax.live.books import Books
 from hitl_jax.live.labels import Label, judged
 from hitl_jax.live.learning import Learning
 from hitl_jax.live.plant import Answer, Plant
-from hitl_jax.runs import LoopConfig, episode_seed, method_index
-from hitl_jax.types import Behavior, Params, TrainState
-
-
-class Setup(NamedTuple):
-    """What a session begins with.
-
-    Attributes:
-        agent: the team; with a person, one of `person.judge` and `person.hands`.
-        hyper: the run's hyperparameters, host scalars.
-        loop: how much it learns.
-        method: whose episodes are played.
-        seed: of the run.
-        with_person: whether a person judges.
-        learns: whether it trains; else a trained walker is tested.
-        start: networks to begin with, as `checkpoint.unflatten` gives them; None is from scratch.
-            They act from the first step on, and learn after the warm-up.
-    """
-
-    agent: Agent
-    hyper: RunHyper
-    loop: LoopConfig
-    method: Method
-    seed: int
-    with_person: bool
-    learns: bool
-    start: dict[str, Params] | None = None
+from hitl_jax.live.setup import Setup
+from hitl_jax.runs import episode_seed, method_index
+from hitl_jax.types import Behavior, TrainState
 
 
 class Frame(NamedTuple):
@@ -109,10 +82,9 @@ class Session:
         warmup = setup.hyper.warmup_steps if setup.start is None else 0
         self._hyper = typed(dataclasses.replace(setup.hyper, warmup_steps=warmup))
         learning, acting, _ = batch.run_keys(setup.seed, method_index(setup.method))
-        train = agents.init(agent, learning)
+        train = setup.first_train(learning)
         state = init_acting(agent, self._hyper, acting)
         if setup.start is not None:
-            train = _started(train, setup.start)
             state = dataclasses.replace(state, boundary=np.float32(setup.start["boundary"]))
         self._device = acting_device()
         self._acting: ActingState = jax.device_put(state, self._device)
@@ -412,53 +384,6 @@ class Session:
         return _act(self.setup.agent, self._hyper, self._behavior, state, self._observation, told)
 
 
-@functools.partial(jax.jit, static_argnums=0, donate_argnums=3)
-def _act(
-    agent: Agent,
-    hyper: RunHyper,
-    behavior: Behavior,
-    state: ActingState,
-    observation: jax.Array,
-    told: person.Told | None,
-) -> tuple[ActingState, jax.Array]:
-    """One step of acting; `told` is what a person does, None where there is none."""
-    if told is not None:
-        state = person.tell(agent, state, told)
-    return decisions.act_or_begin(agent, hyper, behavior, state, observation, jnp.asarray(True))
-
-
-@functools.partial(jax.jit, static_argnums=0, donate_argnums=1)
-def _begin(agent: Agent, state: ActingState) -> ActingState:
-    return begin_episode(agent, state)
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _see(agent: Agent, observation: jax.Array, now: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """c_t, and whether it raises the alarm."""
-    indicator = agent.indicator(observation)
-    return indicator, boundary.alarm(indicator, now)
-
-
-def _started(train: TrainState, start: dict[str, Params]) -> TrainState:
-    """A training state with networks that were learned before, and fresh optimisers."""
-    learner, networks = train.learner, train.boundary
-    mine = {
-        "actor": learner.actor,
-        "critic": learner.critic,
-        "boundary_actor": networks.actor,
-        "boundary_critic": networks.critic,
-    }
-    for name, tree in mine.items():
-        if jax.tree.map(np.shape, tree) != jax.tree.map(np.shape, start.get(name)):
-            raise ValueError(f"its {name} has other layers than this team's")
-    learner = dataclasses.replace(
-        learner,
-        actor=start["actor"],
-        target_actor=start["actor"],
-        critic=start["critic"],
-        target_critic=start["critic"],
-    )
-    networks = dataclasses.replace(
-        networks, actor=start["boundary_actor"], critic=start["boundary_critic"]
-    )
-    return dataclasses.replace(train, learner=learner, boundary=networks)
+_act = jax.jit(person.act, static_argnums=0, donate_argnums=3)
+_begin = jax.jit(begin_episode, static_argnums=0, donate_argnums=1)
+_see = jax.jit(person.see, static_argnums=0)

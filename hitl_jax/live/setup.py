@@ -1,0 +1,76 @@
+"""What a live session begins with."""
+
+import dataclasses
+from typing import NamedTuple
+
+import chex
+import jax
+import numpy as np
+
+from hitl_jax import agent as agents
+from hitl_jax.agent import Agent
+from hitl_jax.config import Method, RunHyper
+from hitl_jax.runs import LoopConfig
+from hitl_jax.types import Params, TrainState
+
+
+class Setup(NamedTuple):
+    """What a session begins with.
+
+    Attributes:
+        agent: the team; with a person, one of `person.judge` and `person.hands`.
+        hyper: the run's hyperparameters, host scalars.
+        loop: how much it learns.
+        method: whose episodes are played.
+        seed: of the run.
+        with_person: whether a person judges.
+        learns: whether it trains; else a trained walker is tested.
+        start: networks to begin with, as `checkpoint.unflatten` gives them; None is from scratch.
+            They act from the first step on, and learn after the warm-up.
+    """
+
+    agent: Agent
+    hyper: RunHyper
+    loop: LoopConfig
+    method: Method
+    seed: int
+    with_person: bool
+    learns: bool
+    start: dict[str, Params] | None = None
+
+    def first_train(self, key: chex.PRNGKey) -> TrainState:
+        """The training state at the start; with networks of before it has fresh optimisers.
+
+        Args:
+            key: of the run's learning, [].
+
+        Raises:
+            ValueError: one line, if those networks are not this team's.
+        """
+        train = agents.init(self.agent, key)
+        return train if self.start is None else _started(train, self.start)
+
+
+def _started(train: TrainState, start: dict[str, Params]) -> TrainState:
+    """A training state with networks that were learned before, and fresh optimisers."""
+    learner, networks = train.learner, train.boundary
+    mine = {
+        "actor": learner.actor,
+        "critic": learner.critic,
+        "boundary_actor": networks.actor,
+        "boundary_critic": networks.critic,
+    }
+    for name, tree in mine.items():
+        if jax.tree.map(np.shape, tree) != jax.tree.map(np.shape, start.get(name)):
+            raise ValueError(f"its {name} has other layers than this team's")
+    learner = dataclasses.replace(
+        learner,
+        actor=start["actor"],
+        target_actor=start["actor"],
+        critic=start["critic"],
+        target_critic=start["critic"],
+    )
+    networks = dataclasses.replace(
+        networks, actor=start["boundary_actor"], critic=start["boundary_critic"]
+    )
+    return dataclasses.replace(train, learner=learner, boundary=networks)
