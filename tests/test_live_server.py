@@ -205,6 +205,8 @@ def test_what_cannot_be_noted_is_not_played(tmp_path, monkeypatch):
     noted = journal.Journal(tmp_path / "journal.jsonl", {})
     monkeypatch.setattr(journal.os, "write", full)
     conductor = Conductor(Session(setup_of()), noted, Manners("train", "", False, 1.0))
+    told = []
+    conductor.listen(told.append)
     conductor.come()
     live = Live(conductor, TOKEN, 0)
     with (
@@ -213,6 +215,8 @@ def test_what_cannot_be_noted_is_not_played(tmp_path, monkeypatch):
     ):
         asyncio.run(live.serve(live.server(), listening))
     noted.close()
+    assert told[-1]["type"] == "error"
+    assert "No space left on device" in told[-1]["message"]
 
 
 def test_a_slow_page_holds_nobody_up():

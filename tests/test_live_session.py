@@ -10,6 +10,7 @@ from live_team import HYPER, setup_of
 
 from hitl_jax import boundary
 from hitl_jax.agent import make_agent
+from hitl_jax.envs import WalkerError
 from hitl_jax.files import ResultsError
 from hitl_jax.live import commands, journal, person
 from hitl_jax.live.labels import Label, judged, moved
@@ -181,6 +182,14 @@ def test_what_cannot_be_done_is_refused(silent, do, said):
     fresh = Session(setup_of())
     with pytest.raises(ValueError, match=said):
         do(fresh)
+
+
+def test_a_learner_that_diverged_moves_nothing():
+    hyper = dataclasses.replace(HYPER, actor_learning_rate=1e30, critic_learning_rate=1e30)
+    session = Session(setup_of(hyper=hyper))
+    with pytest.raises(WalkerError, match="the learner diverged: its numbers are not finite"):
+        _play(session, 400)
+    assert np.isfinite(session.frame.observation).all()
 
 
 def test_line_8_after_the_fact_is_line_8():

@@ -8,6 +8,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from hitl_jax.envs import WalkerError
+from hitl_jax.files import ResultsError
 from hitl_jax.indicator import INDICATORS
 from hitl_jax.live import commands
 from hitl_jax.live.journal import Journal
@@ -135,7 +137,19 @@ class Conductor:
     # Time.
 
     async def run(self) -> None:
-        """Plays for ever; ends when it is cancelled."""
+        """Plays for ever; ends when it is cancelled, or says why it cannot go on.
+
+        Raises:
+            ResultsError: if the journal cannot be written.
+            WalkerError: if the learner diverged.
+        """
+        try:
+            await self._run()
+        except (ResultsError, WalkerError) as error:
+            self._tell({"type": "error", "message": f"The session has ended. {error}"})
+            raise
+
+    async def _run(self) -> None:
         due = told = _clock()
         while True:
             if self._waits():

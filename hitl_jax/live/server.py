@@ -138,7 +138,10 @@ class Live:
 
         Raises:
             ResultsError: if the journal cannot be written: nothing is played that is not noted.
+            WalkerError: if the learner diverged.
         """
+        # Pages inherit it; or a frame waits up to 40 ms for word that what went before has arrived.
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         playing = asyncio.create_task(self._conductor.run())
         playing.add_done_callback(lambda _: setattr(server, "should_exit", True))
         await server.serve(sockets=[listening])

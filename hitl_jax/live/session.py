@@ -21,6 +21,7 @@ from hitl_jax import batch, decisions
 from hitl_jax.acting import ActingState, begin_episode, init_acting
 from hitl_jax.config import typed
 from hitl_jax.devices import acting_device
+from hitl_jax.envs import WalkerError
 from hitl_jax.episodes import EpisodeCounter, Row, Step
 from hitl_jax.live import person
 from hitl_jax.live.books import Books
@@ -205,6 +206,9 @@ class Session:
 
         Returns:
             A row, if an episode ended.
+
+        Raises:
+            WalkerError: if what was learned is no longer finite; nothing can be played then.
         """
         row = None
         if self._ended:
@@ -245,6 +249,8 @@ class Session:
         number, layout = self._tick, self.setup.agent.layout
         self._acting, packed = self._act(self._acting)
         decided = np.asarray(packed)
+        if not np.isfinite(decided).all():
+            raise WalkerError(f"frame {number}: the learner diverged: its numbers are not finite")
         flags = {n: bool(v) for n, v in decisions.flags_of(decided[None], layout).items()}
         answer = self.plant.step(decided[layout.action])
         self._books.note_step(number, decided[: layout.width], flags, answer)
