@@ -13,6 +13,7 @@ import sys
 import webbrowser
 from typing import Annotated, Any
 
+import jax
 import numpy as np
 import tyro
 
@@ -23,9 +24,18 @@ from experiments.signals import Interrupted, deferred_interrupts
 from experiments.training import policy_digest
 from hitl_jax import checkpoint, human_actions
 from hitl_jax.agent import make_agent
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require, validate_hyper
+from hitl_jax.config import (
+    AgentConfig,
+    Hyper,
+    Method,
+    RunHyper,
+    hyper_for,
+    one_of,
+    require,
+    validate_hyper,
+)
 from hitl_jax.evaluation import frozen
-from hitl_jax.files import write_bytes_atomic
+from hitl_jax.files import ResultsError, write_bytes_atomic
 from hitl_jax.live import journal, person
 from hitl_jax.live.conductor import Conductor, Manners
 from hitl_jax.live.session import Session
@@ -36,6 +46,7 @@ from hitl_jax.runs import LoopConfig
 
 MODES = ("train", "test", "watch")
 _HOST = "127.0.0.1"
+_SIMULATED = ("human", "takeover_steps")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,8 +92,8 @@ class LiveOptions:
         Raises:
             ValueError: one line with the option, the value and what is allowed.
         """
-        _one_of("mode", self.mode, MODES)
-        _one_of("method", self.method, (str(Method.HITL_AC), str(Method.HITL_FIX)))
+        one_of("mode", self.mode, MODES)
+        one_of("method", self.method, (str(Method.HITL_AC), str(Method.HITL_FIX)))
         require("seed", self.seed, at_least=0, at_most=2**32 - 1)
         require("answer_seconds", self.answer_seconds, at_least=0.1)
         require("port", self.port, at_least=0, at_most=65535)
@@ -90,12 +101,25 @@ class LiveOptions:
         require_team(self.agent, self.loop)
         if self.mode == "test" and self.start is None:
             raise ValueError("--start (none): --mode test needs a run's params.npz")
+        # The others find a boundary as they act: there is none to show of the state that comes
+        # next, nor one that a label could move afterwards.
+        one_of("boundary-source", self.agent.boundary_source, ("rule",))
         if self.with_person:
-            # A label that comes late moves the boundary afterwards; so the rule alone can be had.
-            _one_of("boundary-source", self.agent.boundary_source, ("rule",))
-            _one_of("feedback-schedule", self.agent.feedback_schedule, ("step",))
-            _one_of("release", self.agent.release, ("judgement",))
+            one_of("feedback-schedule", self.agent.feedback_schedule, ("step",))
+            self._require_nothing_simulated()
+        elif self.ask:
+            raise ValueError("--ask True: there is nobody to ask with --mode watch")
         return self
+
+    def _require_nothing_simulated(self) -> None:
+        """Refuses options of the simulated human, whom nobody would ask."""
+        for part, names in ((self.agent, ("danger", "release")), (self.hyper, _SIMULATED)):
+            for name in names:
+                if getattr(part, name) != getattr(type(part)(), name):
+                    raise ValueError(
+                        f"--{name.replace('_', '-')}: is of the simulated human; where you are the "
+                        "human (--mode train, test) it has no meaning"
+                    )
 
     @property
     def with_person(self) -> bool:
@@ -108,7 +132,7 @@ class LiveOptions:
             "mode": self.mode,
             "method": self.method,
             "seed": self.seed,
-            "start": _digest("start", self.start),
+            "start": policy_digest(self.start, option="start"),
             "human_policy": policy_digest(self.human_policy),
             "agent": dataclasses.asdict(self.agent),
             "loop": dataclasses.asdict(self.loop),
@@ -138,7 +162,7 @@ def setup_of(options: LiveOptions) -> Setup:
         agent = make_agent(config, judge=person.judge(), source=hands)
     else:
         agent = make_agent(config, source=assistant)
-    return Setup(
+    setup = Setup(
         agent=agent,
         hyper=hyper,
         loop=options.loop,
@@ -146,8 +170,13 @@ def setup_of(options: LiveOptions) -> Setup:
         seed=options.seed,
         with_person=options.with_person,
         learns=options.mode != "test",
-        start=None if options.start is None else _networks(options.start),
+        start=None if options.start is None else _networks(options.start, hyper),
     )
+    try:
+        jax.eval_shape(lambda: setup.first_train(jax.random.key(0)))
+    except ValueError as error:
+        raise ValueError(f"--start {options.start}: {error}") from error
+    return setup
 
 
 def main(options: LiveOptions) -> int:
@@ -169,20 +198,21 @@ def main(options: LiveOptions) -> int:
             except ImportError as error:
                 raise ImportError('the page needs: pip install -e ".[live]"') from error
             listening = held.enter_context(contextlib.closing(_listen(options.port)))
-        path = pathlib.Path(options.journal)
-        lines = _lines_of(path, header)
+            path = pathlib.Path(options.journal)
+            try:
+                noted = held.enter_context(contextlib.closing(journal.Journal(path)))
+                lines = [] if noted.is_new else _lines_of(path, header)
+            except ResultsError as error:
+                raise BadInput(f"--journal {error}") from error
         keep_programs()
         print("compiling ...", flush=True)
-        try:
-            session = Session(setup)
-        except ValueError as error:
-            raise BadInput(f"--start {options.start}: {error}") from error
+        session = Session(setup)
+        if noted.is_new:
+            made = {"versions": versions(), "commit": git_commit(), "processor": processor()}
+            noted.begin(header | {"made": made})
         _go_on(session, lines, path)
-        made = {"versions": versions(), "commit": git_commit(), "processor": processor()}
-        first = None if path.exists() else header | {"made": made}
-        noted = held.enter_context(contextlib.closing(journal.Journal(path, first)))
         code = _serve(options, session, noted, listening)
-        kept = path.with_suffix(".npz")
+        kept = path.with_name(f"{path.name}.npz")
         write_bytes_atomic(kept, _archive(checkpoint.flatten(*session.networks())))
         print(f"Played {session.frame.number:,} frames; what was learned: {kept}")
         return code
@@ -218,15 +248,15 @@ def _lines_of(path: pathlib.Path, header: dict[str, Any]) -> list[journal.Line]:
     """What was noted before, if the session is the same.
 
     Raises:
-        BadInput: naming the first difference.
+        ResultsError: naming the first difference.
     """
-    if not path.exists():
-        return []
     before, lines = journal.read(path)
     for name, value in _flat(header).items():
         has = _flat(before).get(name)
         if has != value:
-            raise BadInput(f"--journal {path}: {name}: it has {has}, asked for {value}")
+            raise ResultsError(
+                f"{path}: its session has {name} {has}, asked for {value}: name another journal"
+            )
     return lines
 
 
@@ -257,33 +287,30 @@ def _listen(port: int) -> socket.socket:
     return listening
 
 
-def _networks(path: str) -> dict[str, Any]:
+def _networks(path: str, hyper: RunHyper) -> dict[str, Any]:
     try:
         with np.load(path, allow_pickle=False) as archive:
-            networks = checkpoint.unflatten({name: archive[name] for name in archive.files})
-        if np.shape(networks["boundary"]) != ():
-            raise ValueError("its boundary is no number")
-        return networks
+            arrays = {name: archive[name] for name in archive.files}
+        networks = checkpoint.unflatten(arrays)
+        boundary = float(networks["boundary"])
+        finite = all(np.isfinite(array).all() for array in arrays.values())
     except Exception as error:  # A flipped bit can make of zipfile's and NumPy's errors any.
         raise ValueError(f"--start {path}: is no checkpoint that can be read") from error
+    if not finite:
+        raise ValueError(f"--start {path}: not all its numbers are finite")
+    low, high = float(hyper.boundary_low), float(hyper.boundary_high)
+    if not low <= boundary <= high:  # As of a run whose boundary was no number that a rule moves.
+        raise ValueError(
+            f"--start {path}: its boundary {boundary:g}: must be at least {low:g} and at most "
+            f"{high:g}"
+        )
+    return networks
 
 
 def _archive(arrays: dict[str, np.ndarray]) -> bytes:
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, **arrays)
     return file.getvalue()
-
-
-def _digest(option: str, path: str | None) -> str | None:
-    try:
-        return policy_digest(path)
-    except ValueError as error:
-        raise ValueError(str(error).replace("human-policy", option)) from error
-
-
-def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise ValueError(f"--{name} {value}: must be one of {', '.join(allowed)}")
 
 
 def _has_display() -> bool:

@@ -1,7 +1,7 @@
 """What a person did in a live session, as a human for sweeps: `python -m experiments.recorded`.
 
     python -m experiments.recorded runs/live/session.jsonl
-    python -m experiments.seed_sweep --human recorded:runs/live/session.human.npz
+    python -m experiments.seed_sweep --human recorded:runs/live/session.jsonl.human.npz
 
 Plays the session again, writes the person's judgements step by step, and says which simulated human
 they are most like.
@@ -88,7 +88,7 @@ def main(options: RecordedOptions) -> int:
     steps = _steps(Session(setup), lines, path)
     if not len(steps.dangerous):
         raise ResultsError(f"{path}: no step was played")
-    out = path.with_suffix(".human.npz")
+    out = path.with_name(f"{path.name}.human.npz")
     judgements.write(out, steps.dangerous)
     print("\n".join(_said(steps)))
     print(f"\nThe person as a human for sweeps: --human {judgements.PREFIX}{out}")

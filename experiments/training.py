@@ -59,18 +59,22 @@ def make_team(
     return make_agent(config, judge=judge, source=source)
 
 
-def policy_digest(human_policy: str | None) -> str | None:
-    """What the file holds, for a record of what defines the numbers: not where it lies.
+def policy_digest(policy: str | None, option: str = "human-policy") -> str | None:
+    """What a `params.npz` holds, for a record of what defines the numbers: not where it lies.
+
+    Args:
+        policy: the file, or None.
+        option: that names it.
 
     Raises:
         ValueError: one line, if it cannot be read.
     """
-    if human_policy is None:
+    if policy is None:
         return None
     try:
-        held = pathlib.Path(human_policy).read_bytes()
+        held = pathlib.Path(policy).read_bytes()
     except OSError as error:
-        raise ValueError(f"--human-policy {human_policy}: {error.strerror}") from error
+        raise ValueError(f"--{option} {policy}: {error.strerror}") from error
     return "sha256:" + hashlib.sha256(held).hexdigest()
 
 

@@ -78,13 +78,13 @@ class AgentConfig:
 
     def __post_init__(self) -> None:
         """Checks every choice; ValueError names the option, the value and what is allowed."""
-        _one_of("learner", self.learner, tuple(LEARNERS))
-        _one_of("boundary-source", self.boundary_source, BOUNDARY_SOURCES)
-        _one_of("indicator", self.indicator, tuple(INDICATORS))
-        _one_of("danger", self.danger, tuple(DANGER_MODELS))
-        _one_of("intervention", self.intervention, INTERVENTIONS)
-        _one_of("release", self.release, RELEASES)
-        _one_of("feedback-schedule", self.feedback_schedule, FEEDBACK_SCHEDULES)
+        one_of("learner", self.learner, tuple(LEARNERS))
+        one_of("boundary-source", self.boundary_source, BOUNDARY_SOURCES)
+        one_of("indicator", self.indicator, tuple(INDICATORS))
+        one_of("danger", self.danger, tuple(DANGER_MODELS))
+        one_of("intervention", self.intervention, INTERVENTIONS)
+        one_of("release", self.release, RELEASES)
+        one_of("feedback-schedule", self.feedback_schedule, FEEDBACK_SCHEDULES)
         for name in (
             "batch_size",
             "n_step",
@@ -262,6 +262,16 @@ def _option(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
-def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
+def one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    """Checks a choice.
+
+    Args:
+        name: of the option, as in the dataclass or with hyphens.
+        value: what was chosen.
+        allowed: what can be.
+
+    Raises:
+        ValueError: one line with the option, the value and what is allowed.
+    """
     if value not in allowed:
         raise ValueError(f"{_option(name)} {value}: must be one of {', '.join(allowed)}")

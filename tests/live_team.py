@@ -62,7 +62,9 @@ class Served:
 
     def __init__(self, session, path, asks=False, answer_seconds=0.3, mode="train", port=0):
         self.session, self.path = session, path
-        self._noted = journal.Journal(path, None if path.exists() else {})
+        self._noted = journal.Journal(path)
+        if self._noted.is_new:
+            self._noted.begin({})
         self._socket = socket.create_server(("127.0.0.1", port))
         self.port = self._socket.getsockname()[1]
         self.address = f"http://127.0.0.1:{self.port}/?token={TOKEN}"

@@ -1,5 +1,6 @@
 """The live page as a command: played, killed, taken up again; the person as a recorded human."""
 
+import dataclasses
 import json
 import os
 import re
@@ -8,6 +9,7 @@ import socket
 import subprocess
 import sys
 
+import jax
 import numpy as np
 import pytest
 import small
@@ -16,7 +18,9 @@ from websockets.sync.client import connect
 from experiments import live, recorded
 from experiments.cli import run_main
 from experiments.judgements import load
+from hitl_jax import checkpoint
 from hitl_jax.agent import make_agent
+from hitl_jax.config import AgentConfig
 from hitl_jax.live import journal
 
 _OPTIONS = (
@@ -77,8 +81,8 @@ def test_a_session_survives_a_kill_and_becomes_a_human_for_sweeps(tmp_path, caps
     assert f"played again {last:,} of {last:,} frames" in page.said
     page.until(lambda frame: frame["n"] > last + 20)
     assert page.stop(signal.SIGINT) == 0
-    assert f"what was learned: {path.with_suffix('.npz')}" in page.said
-    with np.load(path.with_suffix(".npz")) as learned:
+    assert f"what was learned: {path}.npz" in page.said
+    with np.load(f"{path}.npz") as learned:
         assert learned["boundary"].shape == ()
 
     assert run_main(recorded.RecordedOptions, recorded.main, [str(path)]) == 0
@@ -112,6 +116,10 @@ def _refused(options, capsys):
         (["--port", "70000"], "--port 70000: must be at least 0 and at most 65535"),
         (["--answer-seconds", "0"], "--answer-seconds 0.0: must be at least 0.1"),
         (["--boundary-source", "network"], "--boundary-source network: must be one of rule"),
+        (["--mode", "watch", "--boundary-source", "pid"], "--boundary-source pid: must be one of"),
+        (["--mode", "watch", "--ask"], "--ask True: there is nobody to ask with --mode watch"),
+        (["--danger", "predictive"], "--danger: is of the simulated human"),
+        (["--human.delay", "3"], "--human: is of the simulated human"),
         (["--human-policy", "gone.npz"], "--human-policy gone.npz: No such file"),
     ],
 )
@@ -127,14 +135,33 @@ def test_a_port_in_use_and_another_sessions_journal_are_refused(tmp_path, capsys
         port = str(taken.getsockname()[1])
         said = _refused(["--port", port, "--journal", str(path)], capsys)
         assert f"--port {port}: Address already in use" in said
-    options = live.LiveOptions(seed=3)
-    journal.Journal(path, options.header()).close()
+    noted = journal.Journal(path)
+    noted.begin(live.LiveOptions(seed=3).header())
+    assert "another process plays this session" in _refused(["--journal", str(path)], capsys)
+    noted.close()
     said = _refused(["--journal", str(path)], capsys)
-    assert "seed: it has 3, asked for 0" in said
+    assert "seed 3, asked for 0: name another journal" in said
     path.write_text("my thesis\n")
-    assert run_main(live.LiveOptions, live.main, [*_OPTIONS, "--journal", str(path)]) == 1
-    assert "is no journal of a live session" in capsys.readouterr().err
+    assert "is no journal of a live session" in _refused(["--journal", str(path)], capsys)
     assert path.read_text() == "my thesis\n"
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"boundary": np.float32(0.0)}, "its boundary 0: must be at least 0.05 and at most 1.5"),
+        ({"boundary": np.zeros(3)}, "is no checkpoint that can be read"),
+        ({"actor/params/out/bias": np.full(4, np.nan)}, "not all its numbers are finite"),
+        ({}, "its actor has other layers than this team's"),
+    ],
+)
+def test_what_cannot_be_begun_with_is_refused(changed, message, tmp_path, capsys):
+    """Such as a run whose boundary is no number that a rule moves."""
+    setup = live.setup_of(live.LiveOptions(agent=AgentConfig(hidden_sizes=(8,))))
+    train = setup.first_train(jax.random.key(0))
+    arrays = checkpoint.flatten(dataclasses.replace(train, key=None), np.float32(0.3))
+    np.savez(tmp_path / "start.npz", **arrays | changed)
+    assert message in _refused(["--start", str(tmp_path / "start.npz")], capsys)
 
 
 def test_watching_takes_a_simulated_human():

@@ -207,6 +207,11 @@ def test_the_clock_stops_and_goes_by_single_steps(page, served):
     page.locator("#pause").click()
     page.wait_for_selector('[data-paused="false"]')
     _comes_to(page, held + 5)
+    # Twice at once is on and off again, though the server has not answered in between.
+    page.keyboard.press("Space")
+    page.keyboard.press("Space")
+    _until(page, lambda: len(_said(served, "pause")) == 4)
+    assert [said["on"] for said in _said(served, "pause")] == [True, False, True, False]
 
 
 def test_the_clock_goes_faster_and_slower(page, served):
@@ -223,6 +228,14 @@ def test_the_clock_goes_faster_and_slower(page, served):
     _shows(page, "speed", "1/2 ×")
     factors = [said["factor"] for said in _said(served, "speed")]
     assert factors == [2, 4, 8, None, 8, 4, 2, 1, 0.5]
+    # "+" as it is on many keyboards, and Shift let go first, when the same key is called "=".
+    for _ in range(2):
+        page.keyboard.down("Shift")
+        page.keyboard.down("Equal")
+        page.keyboard.up("Shift")
+        page.keyboard.up("Equal")
+    _until(page, lambda: len(_said(served, "speed")) == 11)
+    _shows(page, "speed", "2 ×")
 
 
 def test_a_second_window_watches(browser, page, served):
@@ -286,8 +299,10 @@ def test_the_walker_asks_and_is_answered_or_goes_on(page, tmp_path):
         expect(page.locator("#request-default")).to_contain_text("Without an answer")
         page.keyboard.press("d")
         _shows(page, "control", "person")  # An alarm that is one hands the controls over.
-        [label] = session.labels
-        assert (label.kind, label.first) == ("take", number)
+        said, control = session.labels
+        assert (said.kind, said.first) == ("danger", number)
+        assert (control.kind, control.first, control.cause) == ("take", number, said.number)
+        _shows(page, "labels", "1")
         page.keyboard.press("t")
         number = _asked(page, session)
         page.locator("#request-safe").click()
@@ -295,11 +310,9 @@ def test_the_walker_asks_and_is_answered_or_goes_on(page, tmp_path):
         assert (session.labels[-1].kind, session.labels[-1].first) == ("safe", number)
     with Served(session, path, mode="test", asks=True, port=served.port) as again:
         page.wait_for_selector('[data-connection="connected"]')
-        _until(page, lambda: len(_said(again, "safe")) > 1)
-        frame = _said(again, "safe")[1]["frame"]
-        label = session.labels[2]
-        assert (label.kind, label.first, label.last) == ("safe", frame, frame)
-        _comes_to(page, frame)
+        _until(page, lambda: _said(again, "no_answer"))
+        assert len(session.labels) == 3  # Nobody's word is no label.
+        _comes_to(page, _said(again, "no_answer")[0]["frame"])
 
 
 def test_where_a_simulated_human_judges_only_the_clock_is_the_persons(page, tmp_path):

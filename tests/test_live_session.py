@@ -69,7 +69,7 @@ def test_a_judgement_in_time_equals_one_that_came_late(silent):
     in_time.danger(False, last - 1)
     _play(late, last)
     late.danger(True, first)
-    late.danger(False, last - 1)
+    late.let_go(last)  # Or the arbiter would hear of it, and might intervene now.
     columns = [
         late.setup.agent.layout.boundary_reward,
         *(late.setup.agent.layout.boundary + i for i in (0, 1)),
@@ -140,6 +140,54 @@ def test_the_arbiter_hands_over_where_alarm_and_judgement_agree(silent):
     assert not session.controls
 
 
+@pytest.mark.parametrize("intervention", ["takeover", "penalty", "reset"])
+def test_a_judgement_that_comes_late_can_give_control_and_is_taken_back_whole(silent, intervention):
+    """The frames between those that were judged and those of the control stay safe."""
+    nobody, alarms = silent
+    at = next(n for n in alarms if n - 4 not in alarms and n > 8)
+    session = Session(setup_of(intervention))
+    layout = session.setup.agent.layout
+    _play(session, at)
+    session.danger(True, at - 4)
+    session.danger(False, at - 4)
+    assert [n for n in range(at) if session.flag("dangerous", n)] == [at - 4]
+    _play(session, at + 3)
+    until = at + 3 if intervention == "takeover" else at + 1
+    judged_now = [n for n in range(at + 3) if session.flag("dangerous", n)]
+    assert judged_now == [at - 4, *range(at, until)]
+    assert session.flag("control", at)
+    # Who intervened judged the frame: the alarm was a true one.
+    session.tick()
+    assert session._books.frames(at, at + 1)[0, layout.boundary_reward] == 1.0
+    if session.controls:
+        session.let_go(session.frame.number)
+    session.safe(at - 4)
+    assert not session.flag("dangerous", at - 4)
+    session.undo()
+    assert session.flag("dangerous", at - 4)
+    session.undo()
+    assert session.labels == []
+    assert not any(session.flag("dangerous", n) for n in range(at + 4))
+    # The boundary is nobody's, as far as the alarms are nobody's.
+    columns = [layout.boundary_reward, layout.boundary, layout.next_boundary]
+    np.testing.assert_array_equal(
+        session._books.frames(0, at)[:, columns], nobody._books.frames(0, at)[:, columns]
+    )
+
+
+@pytest.mark.parametrize("end", ["let_go", "safe", "undo"])
+def test_a_judgement_that_is_corrected_in_time_gives_no_control(silent, end):
+    _, alarms = silent
+    session = Session(setup_of())
+    _play(session, alarms[0])
+    session.danger(True, alarms[0])
+    session.danger(False, alarms[0])
+    getattr(session, end)(*([] if end == "undo" else [alarms[0]]))
+    session.tick()
+    # A tap that was over stays a judgement of its frame, unless it is called safe or taken back.
+    assert session.controls == (end == "let_go")
+
+
 def test_a_human_reset_that_is_taken_back_does_not_end_the_bootstrap(silent):
     _, alarms = silent
     session = Session(setup_of("reset"))
@@ -208,12 +256,13 @@ def test_line_8_after_the_fact_is_line_8():
 
 def test_labels_cover_their_frames():
     labels = [
-        Label(0, "danger", 2, 4, 3),
-        Label(1, "safe", 3, 3, 3),
-        Label(2, "take", 7, None, 7),
-        Label(3, "danger", 0, 0, 9),
+        Label(0, "danger", 2, 5),
+        Label(1, "safe", 3, 4),
+        Label(2, "take", 7, None),
+        Label(3, "danger", 0, 0),
+        Label(4, "danger", 4, 4),
     ]
-    assert np.flatnonzero(judged(labels, 1, 10)).tolist() == [1, 2, 3, 6, 7, 8]
+    assert np.flatnonzero(judged(labels, 1, 10)).tolist() == [1, 3, 4, 6, 7, 8]
     assert judged(labels, 5, 5).shape == (0,)
 
 
@@ -241,13 +290,13 @@ def _act_upon(noted, session, upto, rng, share=0.2):
 def test_a_journal_plays_the_session_again(tmp_path):
     path, rng = tmp_path / "journal.jsonl", np.random.default_rng(1)
     session = Session(setup_of())
-    noted = journal.Journal(path, {"mode": "train"})
+    noted = _begun(path)
     _act_upon(noted, session, 1700, rng)  # More than the replay and than an episode hold.
     assert session.episodes
     # Killed as it wrote a line, which may stand there in part.
     path.write_bytes(path.read_bytes() + b'{"at":1701,"sa')
     header, lines = journal.read(path)
-    assert header["mode"] == "train"
+    assert header == {"journal": journal.VERSION, "mode": "train"}
     again = Session(setup_of())
     list(journal.play(again, lines, path))
     _play(again, session.frame.number)
@@ -257,14 +306,53 @@ def test_a_journal_plays_the_session_again(tmp_path):
     np.testing.assert_array_equal(_stored(again), _stored(session))
     # It goes on in the same file, without the part of a line.
     with pytest.raises(ResultsError, match="another process plays this session"):
-        journal.Journal(path, None)
+        journal.Journal(path)
     noted.close()
-    noted = journal.Journal(path, None)
+    noted = journal.Journal(path)
+    assert not noted.is_new
     _act_upon(noted, again, 1760, rng)
     noted.close()
     assert all(json.loads(line) for line in path.read_text().splitlines())
-    with pytest.raises(ResultsError, match="File exists"):
-        journal.Journal(path, {})
+    # What stands of each frame that is kept is what the labels say.
+    kept = range(again.frame.number - again._books.size + 1, again.frame.number)
+    said = judged(again.labels, kept.start, kept.stop)
+    for number, dangerous in zip(kept, said, strict=True):
+        assert again.flag("dangerous", number) == (dangerous and again.flag("live", number))
+
+
+def _begun(path):
+    noted = journal.Journal(path)
+    assert noted.is_new
+    noted.begin({"mode": "train"})
+    return noted
+
+
+@pytest.mark.parametrize("torn", ["", '{"jour', '{"journal":2,"mode":"tr'])
+def test_a_journal_that_was_killed_at_its_first_line_begins_anew(tmp_path, torn):
+    path = tmp_path / "journal.jsonl"
+    path.write_text(torn)
+    _begun(path).close()
+    assert journal.read(path) == ({"journal": journal.VERSION, "mode": "train"}, [])
+
+
+def test_what_is_no_journal_is_left_as_it_is(tmp_path):
+    path = tmp_path / "notes.txt"
+    path.write_text("a thought\nand its beginn")
+    journal.Journal(path).close()
+    with pytest.raises(ResultsError, match="is no journal of a live session"):
+        journal.read(path)
+    assert path.read_text() == "a thought\nand its beginn"
+
+
+def test_a_line_that_the_disk_refuses_leaves_nothing(tmp_path, monkeypatch):
+    path, session = tmp_path / "journal.jsonl", Session(setup_of())
+    noted = _begun(path)
+    before, write = path.read_bytes(), journal.os.write
+    monkeypatch.setattr(journal.os, "write", lambda file, text: write(file, text[:20]))
+    with pytest.raises(ResultsError, match="No space left on device"):
+        noted.said(session, {"type": "undo"})
+    noted.close()
+    assert path.read_bytes() == before
 
 
 def test_ten_minutes_killed_at_any_moment_play_again(tmp_path):
@@ -272,11 +360,11 @@ def test_ten_minutes_killed_at_any_moment_play_again(tmp_path):
     whole, cut = tmp_path / "whole.jsonl", tmp_path / "cut.jsonl"
     # It learns a little, to end sooner.
     setup = setup_of(loop=LoopConfig(capacity=512, chunk=64, updates_per_step=1 / 32))
-    session, noted = Session(setup), journal.Journal(whole, {})
+    session, noted = Session(setup), _begun(whole)
     _act_upon(noted, session, 30_000, np.random.default_rng(3), share=0.02)
     noted.close()
     written = whole.read_bytes()
-    moment = int(np.random.default_rng().integers(len(written)))
+    moment = int(np.random.default_rng().integers(written.index(b"\n") + 1, len(written)))
     cut.write_bytes(written[:moment])
     print(f"killed as byte {moment} was written")  # Shown where it fails.
     _, lines = journal.read(cut)
@@ -288,11 +376,19 @@ def test_ten_minutes_killed_at_any_moment_play_again(tmp_path):
 def test_another_session_is_noticed(tmp_path):
     path = tmp_path / "journal.jsonl"
     session = Session(setup_of())
-    noted = journal.Journal(path, {})
+    noted = _begun(path)
     _act_upon(noted, session, 64, np.random.default_rng(2))
-    _, lines = journal.read(path)
+    noted.close()
+    header, lines = journal.read(path)
     with pytest.raises(ResultsError, match="plays otherwise than it did"):
         list(journal.play(Session(setup_of(seed=1)), lines, path))
+    said = {"type": "danger", "down": True, "frame": 999}
+    with pytest.raises(ResultsError, match="at frame 0: frame 999: must be from 0 to 0"):
+        list(journal.play(Session(setup_of()), [{"at": 0, "said": said}], path))
+    for line in ("3", "{}", '{"at": 1}', '{"at": "1", "said": {}}', '{"at": 1, "said": {}}'):
+        path.write_text(f"{json.dumps(header)}\n{line}\n")
+        with pytest.raises(ResultsError, match="line 2: is damaged"):
+            journal.read(path)
     for text in ("", "{}\n", '{"journal": 9}\n', "hello\n", "[]\n"):
         path.write_text(text)
         with pytest.raises(ResultsError, match="journal"):
@@ -315,6 +411,8 @@ def test_another_session_is_noticed(tmp_path):
         '{"type": "safe", "frame": true}',
         '{"type": "hands", "action": ["a"]}',
         '{"type": "hands", "action": [NaN, 0, 0, 0]}',
+        '{"type": "hands", "action": [1%s, 0, 0, 0]}' % ("0" * 400),
+        '{"type": "no_answer", "frame": 0}',
         '{"type": "speed", "factor": 3}',
         '{"type": "speed", "factor": true}',
         "[" * 100_000,

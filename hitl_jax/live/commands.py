@@ -63,7 +63,10 @@ def _field(kind: str, name: str, value: Any) -> Any:
 
 
 def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and math.isfinite(value)
+    try:
+        return type(value) in (int, float) and math.isfinite(value)
+    except OverflowError:  # Of a whole number that no float can be.
+        return False
 
 
 def apply(session: Session, said: Mapping[str, Any]) -> dict[str, Any]:

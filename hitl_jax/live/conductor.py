@@ -35,7 +35,7 @@ class Manners(NamedTuple):
         mode: `train`, `test` or `watch`.
         title: for people.
         asks: whether the walker stops and asks where an alarm begins.
-        answer_seconds: how long it waits for an answer; then it goes on as if that were "safe".
+        answer_seconds: how long it waits for an answer; then it goes on, which counts as safe.
     """
 
     mode: str
@@ -64,6 +64,7 @@ class Conductor:
         self._asked: int | None = None
         self._left = 0.0
         self._noticed = False
+        self._failure: ResultsError | None = None
         self._woken = asyncio.Event()
         self._reactions: list[float] = []
         self._alarm_since: float | None = None
@@ -87,10 +88,9 @@ class Conductor:
         """The person has gone: nothing is played until somebody comes."""
         self._away = True
         session = self._session
+        self._alarm_since = None  # Or how long nobody was there would count as a reaction.
         if session.setup.with_person:
-            number = session.frame.number
-            if session.dangerous:
-                self.say({"type": "let_go", "frame": number})
+            self.say({"type": "let_go", "frame": session.frame.number})
             self.say({"type": "hands", "action": [0.0] * 4})
             self.say({"type": "assist", "on": False})
         self._tell(self._status())
@@ -110,12 +110,13 @@ class Conductor:
         Raises:
             ValueError: one line, where it cannot be done.
         """
-        session, kind = self._session, command["type"]
-        self._journal.said(session, command)
+        kind = command["type"]
+        self._note(command)
         if kind in ("pause", "speed"):
             self._recent.clear()  # Or the rate would mix paces.
         if kind == "pause":
             self._paused = command["on"]
+            self._alarm_since = None
         elif kind == "step":
             self._steps_due += self._paused
         elif kind == "speed":
@@ -127,6 +128,13 @@ class Conductor:
         self._tell(self._status())
         if self._waits():
             self._tell(self._frame())
+
+    def _note(self, command: commands.Command) -> None:
+        """Has it done and noted. What cannot be noted ends the session, whoever said it."""
+        try:
+            self._journal.said(self._session, command)
+        except ResultsError as error:
+            self._failure = error
 
     def _react(self) -> None:
         """How long after the alarm was first shown it was answered."""
@@ -152,6 +160,8 @@ class Conductor:
     async def _run(self) -> None:
         due = told = _clock()
         while True:
+            if self._failure is not None:
+                raise self._failure
             if self._waits():
                 due = await self._wait()
             else:
@@ -175,7 +185,8 @@ class Conductor:
         if self._asked is not None and not self._paused and not self._away:
             self._left -= _clock() - before
             if self._left <= 0:
-                self.say({"type": "safe", "frame": self._asked})
+                self._note({"type": "no_answer", "frame": self._asked})
+                self._asked = None
         return _clock()
 
     def _next(self, due: float) -> float:
@@ -228,9 +239,7 @@ class Conductor:
             "indicator": name if name in INDICATORS else "indicator",
             "unit": _UNITS.get(name, "1"),
             "span": 1.0,
-            "rate": RATE,
             "intervention": setup.agent.config.intervention,
-            "asks": manners.asks,
             "answer_seconds": manners.answer_seconds,
             "no_answer": "Without an answer it counts as safe, and the walker goes on.",
             **shapes(),
@@ -280,7 +289,7 @@ class Conductor:
             "speed": self._speed,
             "asking": asking,
             "watchers": max(len(self._listeners) - 1, 0),
-            "labels": len(session.labels),
+            "labels": sum(label.cause is None for label in session.labels),
             "reaction_ms": round(reactions[-1]) if reactions else None,
             "median_reaction_ms": round(statistics.median(reactions)) if reactions else None,
             "rate": round((len(recent) - 1) / (recent[-1] - recent[0]), 1) if moving else 0.0,

@@ -1,6 +1,6 @@
 """The journal of a session: a line for each thing that was done to it, and for each chunk.
 
-Lines are only added, and each is on the disk before the next thing happens. So a killed process
+Lines are only added, and each is the system's before the next thing happens. So a killed process
 loses at most the line that it was writing, and the session's last ticks, fewer than a chunk.
 
 The first line is the setup. Then, by `at`, the frame that came next: what a person said, as
@@ -9,6 +9,7 @@ executed (float32, base64) and a checksum.
 """
 
 import base64
+import errno
 import fcntl
 import json
 import os
@@ -17,46 +18,53 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from hitl_jax.files import ResultsError
+from hitl_jax.files import ResultsError, named_errors
 from hitl_jax.live import commands
 from hitl_jax.live.session import Session
 
-VERSION = 1
+VERSION = 2
+_BEGINNING = b'{"journal":'
 
 Line = dict[str, Any]
 
 
 class Journal:
-    """Writes a session's journal."""
+    """Writes a session's journal.
 
-    def __init__(self, path: pathlib.Path, header: Line | None):
-        """Opens it.
+    Attributes:
+        is_new: whether nothing was in it; then it is to `begin`.
+    """
 
-        Args:
-            path: the file.
-            header: the setup, for a new one; None goes on with what is there, less a line that was
-                not written to its end.
+    def __init__(self, path: pathlib.Path):
+        """Opens it for this process alone, or makes an empty one.
+
+        A last line that was not written to its end is taken off.
 
         Raises:
             ResultsError: if it cannot be written, or another process writes it.
         """
         self._path = path
-        try:
+        with named_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            flags = os.O_WRONLY | os.O_APPEND | (0 if header is None else os.O_CREAT | os.O_EXCL)
-            self._file = os.open(path, flags, 0o644)
-        except OSError as error:
-            raise ResultsError(f"{path}: {error.strerror}") from error
+            self._file = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            os.close(self._file)
+            self.close()
             raise ResultsError(f"{path}: another process plays this session") from error
-        if header is None:
-            whole = path.read_bytes().rpartition(b"\n")
-            os.truncate(path, len(whole[0]) + len(whole[1]))
-        if header is not None:
-            self._add({"journal": VERSION, **header})
+        whole = path.read_bytes()
+        beginning = whole[: len(_BEGINNING)]
+        if beginning == _BEGINNING[: len(beginning)]:  # Not of a file that is something else.
+            os.truncate(self._file, whole.rfind(b"\n") + 1)
+        self.is_new = not os.fstat(self._file).st_size
+
+    def begin(self, header: Line) -> None:
+        """Writes the first line: the setup.
+
+        Raises:
+            ResultsError: if the disk refuses.
+        """
+        self._add({"journal": VERSION, **header})
 
     def said(self, session: Session, command: commands.Command) -> None:
         """Does to a session what a person said, and notes it.
@@ -83,12 +91,14 @@ class Journal:
 
     def _add(self, line: Line) -> None:
         text = json.dumps(line, separators=(",", ":")).encode() + b"\n"
+        size = os.fstat(self._file).st_size
         try:
-            if os.write(self._file, text) == len(text):
-                return
-        except OSError as error:
-            raise ResultsError(f"{self._path}: {error.strerror}") from error
-        raise ResultsError(f"{self._path}: No space left on device")
+            with named_errors(self._path):
+                if os.write(self._file, text) < len(text):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except ResultsError:
+            os.truncate(self._file, size)
+            raise
 
 
 def read(path: pathlib.Path) -> tuple[Line, list[Line]]:
@@ -107,11 +117,21 @@ def read(path: pathlib.Path) -> tuple[Line, list[Line]]:
         header, *others = [json.loads(line) for line in lines]
         if header["journal"] != VERSION:
             raise ResultsError(f"{path}: journal {header['journal']}: must be {VERSION}")
+    except ResultsError:
+        raise
     except (ValueError, KeyError, TypeError) as error:
-        if isinstance(error, ResultsError):
-            raise
         raise ResultsError(f"{path}: is no journal of a live session") from error
+    for number, line in enumerate(others, start=2):
+        if not _is_line(line):
+            raise ResultsError(f"{path}: line {number}: is damaged")
     return header, others
+
+
+def _is_line(line: Any) -> bool:
+    if not isinstance(line, dict) or type(line.get("at")) is not int:
+        return False
+    said = line.get("said")
+    return "type" in said if isinstance(said, dict) else {"actions", "digest"} <= line.keys()
 
 
 def play(
@@ -138,7 +158,10 @@ def play(
             session.tick()
         if "said" in line:
             if line["said"]["type"] in commands.JUDGING:
-                commands.apply(session, line["said"])
+                try:
+                    commands.apply(session, line["said"])
+                except (ValueError, KeyError) as error:
+                    raise ResultsError(f"{path}: at frame {line['at']}: {error}") from error
             continue
         yield session.frame.number
         first = line["at"] - chunk

@@ -16,9 +16,6 @@ from hitl_jax import boundary
 from hitl_jax.acting import following
 from hitl_jax.config import RunHyper
 
-KINDS = ("danger", "safe", "take")
-"""Held or tapped "danger", "safe", and control that the person took."""
-
 
 @dataclasses.dataclass
 class Label:
@@ -26,26 +23,31 @@ class Label:
 
     Attributes:
         number: counts the labels of a session.
-        kind: one of `KINDS`.
+        kind: `danger`, held or tapped; `safe`; or `take`, control that the person took, or that the
+            arbiter gave.
         first: its first frame.
         last: its last frame; None while it goes on.
-        came: the frame at which it arrived.
+        cause: the number of the judgement for which the arbiter gave control, with which it is
+            taken back; None for all that the person said.
     """
 
     number: int
     kind: str
     first: int
     last: int | None
-    came: int
+    cause: int | None = None
 
 
 def judged(labels: Sequence[Label], first: int, stop: int) -> np.ndarray:
-    """Whether each frame of [first, stop) was judged dangerous, bool [stop - first]."""
+    """Whether each frame of [first, stop) was judged dangerous, bool [stop - first].
+
+    Of what was said about one frame, the last word counts.
+    """
     dangerous = np.zeros(max(stop - first, 0), bool)
     for label in labels:
-        if label.kind != "safe" and (label.last is None or label.last >= first):
+        if label.last is None or label.last >= first:
             end = stop if label.last is None else label.last + 1
-            dangerous[max(label.first - first, 0) : max(end - first, 0)] = True
+            dangerous[max(label.first - first, 0) : max(end - first, 0)] = label.kind != "safe"
     return dangerous
 
 

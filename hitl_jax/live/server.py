@@ -27,8 +27,10 @@ MOST_MESSAGES = 200
 """That a page may send in a second."""
 
 _PATIENCE = 20
+"""How many of them may mean nothing."""
+
 _PAGE = pathlib.Path(__file__).parent / "page"
-_HOSTS = ("127.0.0.1", "localhost", "[::1]")
+_HOSTS = ("127.0.0.1", "localhost")
 _REFUSED, _TOO_MANY, _SLOW, _FOREIGN = 4403, 4429, 4408, 4400
 _WAITING = 500
 _GRACE = 5.0
@@ -121,6 +123,7 @@ class Live:
         self._conductor, self._token = conductor, token
         self._origins = {f"http://{host}:{port}" for host in _HOSTS}
         self._visitors: list[_Visitor] = []
+        self._grace: asyncio.TimerHandle | None = None
 
     def server(self) -> uvicorn.Server:
         """What `serve` takes; to end it, set its `should_exit`."""
@@ -189,6 +192,8 @@ class Live:
         self._visitors.append(visitor)
         self._conductor.listen(visitor.hear)
         if visitor.controls:
+            if self._grace is not None:
+                self._grace.cancel()
             self._conductor.come()
         sending = asyncio.create_task(_send(visitor))
         try:
@@ -201,7 +206,8 @@ class Live:
             self._conductor.forget(visitor.hear)
             if visitor.controls:
                 self._conductor.leave()
-                asyncio.get_running_loop().call_later(_GRACE, self._pass_on)
+                loop = asyncio.get_running_loop()
+                self._grace = loop.call_later(_GRACE, self._pass_on)
 
     def _pass_on(self) -> None:
         """Gives the controls to who has watched longest, if nobody came back for them."""
@@ -213,25 +219,26 @@ class Live:
 
     async def _hear(self, visitor: _Visitor) -> None:
         """Does what a page says until it goes or is sent away."""
-        rate, wrong = Rate(MOST_MESSAGES), 0
+        rate, wrong = Rate(MOST_MESSAGES), Rate(_PATIENCE)
         while True:
-            text = await visitor.page.receive_text()
+            message = await visitor.page.receive()
+            if message["type"] == "websocket.disconnect":
+                return
             if not rate.allows():
                 reason = f"more than {MOST_MESSAGES} messages a second"
                 await visitor.page.close(_TOO_MANY, reason)
                 return
             try:
-                command = commands.parse(text)
+                command = commands.parse(message.get("text") or "")
                 if not visitor.controls:
                     raise ValueError("somebody else controls this session; you can watch")
                 self._conductor.say(command)
             except ValueError as error:
-                wrong += 1
                 visitor.complain(str(error))
-            if wrong > _PATIENCE:
-                reason = f"more than {_PATIENCE} messages that mean nothing"
-                await visitor.page.close(_FOREIGN, reason)
-                return
+                if not wrong.allows():
+                    reason = f"more than {_PATIENCE} messages a second that mean nothing"
+                    await visitor.page.close(_FOREIGN, reason)
+                    return
 
 
 async def _nothing(_: Request) -> Response:

@@ -157,10 +157,9 @@ class Session:
             self._heard = True  # By the arbiter, also where it ends before the next step.
 
     def safe(self, number: int) -> None:
-        """Judges a frame safe; what goes on ends before it."""
+        """Judges a frame safe, whatever was said of it; what goes on ends before it."""
         self.let_go(number)
-        self._say("safe", number)
-        self.labels[-1].last = number
+        self._say("safe", number, number)
 
     def take(self, number: int) -> None:
         """Takes the controls, which is a judgement of danger until they are let go."""
@@ -168,12 +167,12 @@ class Session:
         if self.setup.agent.config.intervention != "takeover":
             raise ValueError("taking over: this session's intervention is not a takeover")
         if not self.controls:
-            self._say("take", number)
-            self._controls = self.labels[-1].number
+            self._controls = self._say("take", number)
 
     def let_go(self, number: int) -> None:
         """Gives the controls back; a judgement of danger that goes on ends before the frame."""
         self._require(number)
+        self._heard = False
         self._end("take", number)
         self._end("danger", number)
 
@@ -193,10 +192,12 @@ class Session:
         if not self.labels:
             return None
         label = self.labels.pop()
+        taken = [label, *(said for said in self.labels if said.number == label.cause)]
+        self.labels = [said for said in self.labels if said.number != label.cause]
         self._heard = False
         if self._controls == label.number:
             self._controls = None
-        self._judge_again(label.first)
+        self._judge_again(min(said.first for said in taken))
         return label
 
     # Time.
@@ -282,16 +283,16 @@ class Session:
     def _credit(self, number: int, human_action: bool) -> bool:
         """Notes by which label the person has control; whether it began at this frame.
 
-        Where the arbiter gives a person the controls, they keep them until they let go.
+        Where the arbiter gives a person the controls, they keep them until they let go. Where it
+        heard a judgement of earlier frames, that now is one of this frame as well.
         """
-        if self._controls is None:
-            label = next(said for said in reversed(self.labels) if said.kind != "safe")
-            if human_action:
-                label.kind, label.last = "take", None
-                self._controls = label.number
-            self._books.credit(number, label.number)
-        else:
-            self._books.credit(number, self._controls)
+        label = self._controls
+        if label is None:
+            label = next(said.number for said in reversed(self.labels) if said.kind != "safe")
+            if human_action or not judged(self.labels, number, number + 1)[0]:
+                label = self._say("take", number, None if human_action else number, cause=label)
+            self._controls = label if human_action else None
+        self._books.credit(number, label)
         return self._step == 0 or self._books.label_of(number) != self._books.label_of(number - 1)
 
     def _count(self, number: int, flags: dict[str, bool], answer: Answer) -> Row | None:
@@ -316,7 +317,8 @@ class Session:
         return row
 
     def _new_episode(self) -> None:
-        seed = episode_seed(self.setup.method, self.setup.seed, len(self.episodes))
+        phase = self.setup.method if self.setup.learns else "test"
+        seed = episode_seed(phase, self.setup.seed, len(self.episodes))
         self._observation = self.plant.reset(seed)
         self._step, self._ended = 0, False
         self.interventions, self.returned = 0, 0.0
@@ -351,10 +353,13 @@ class Session:
         if not oldest <= number <= self._tick:
             raise ValueError(f"frame {number}: must be from {oldest} to {self._tick}")
 
-    def _say(self, kind: str, number: int) -> None:
-        self.labels.append(Label(self._said, kind, number, None, self._tick))
+    def _say(self, kind: str, first: int, last: int | None = None, cause: int | None = None) -> int:
+        """Adds a label; its number."""
+        label = Label(self._said, kind, first, last, cause)
+        self.labels.append(label)
         self._said += 1
-        self._judge_again(number)
+        self._judge_again(first)
+        return label.number
 
     def _end(self, kind: str, stop: int) -> None:
         """Ends a label that goes on, before a frame."""

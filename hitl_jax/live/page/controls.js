@@ -12,6 +12,9 @@ function keyName(event) {
   return latin ? event.key.toLowerCase() : event.code.replace(/^Key/, "").toLowerCase();
 }
 
+/** What holds a control while this key is down: the key itself, since Shift changes its name. */
+function keySource(event) { return `key ${event.code || event.key}`; }
+
 /** One control with its buttons. It is pressed while at least one source (key, pointer) holds it. */
 class Control {
   constructor(name, { press, release }) {
@@ -24,7 +27,7 @@ class Control {
   begin(source) {
     if (!this.enabled || this.sources.has(source)) return;
     this.sources.add(source);
-    if (this.sources.size > 1) return;
+    if (this.release && this.sources.size > 1) return;
     this.mark(true);
     this.press();
   }
@@ -100,11 +103,10 @@ export function createControls(actions) {
     const control = byKey.get(keyName(event));
     if (!control) return;
     event.preventDefault();
-    if (!event.repeat) control.begin(`key ${keyName(event)}`);
+    if (!event.repeat) control.begin(keySource(event));
   });
   window.addEventListener("keyup", (event) => {
-    const name = keyName(event);
-    controls.forEach((control) => [`key ${name}`, `button ${event.key}`].forEach((source) => control.end(source)));
+    controls.forEach((control) => [keySource(event), `button ${event.key}`].forEach((source) => control.end(source)));
   });
   window.addEventListener("blur", releaseAll);
   document.addEventListener("visibilitychange", () => { if (document.hidden) releaseAll(); });

@@ -15,7 +15,7 @@ const root = document.documentElement;
 const state = {
   hello: null, role: "watcher", connected: false, frame: null, drawn: null, taken: false, toldUntil: 0,
   status: { paused: false, speed: 1, asking: null, danger_held: false },
-  wanted: { speed: 1, until: 0 }, episodes: [], deadline: 0, muted: false, reason: "",
+  wanted: {}, episodes: [], deadline: 0, muted: false, reason: "",
 };
 
 /** Writes text, where it is not there already. */
@@ -109,7 +109,7 @@ const listeners = {
     write("title", message.title);
     write("mode", MODES[message.mode]);
     write("gauge-name", message.indicator.replaceAll("_", " "));
-    write("request-default", message.no_answer ?? "Without an answer the walker goes on by itself.");
+    write("request-default", message.no_answer);
     listeners.role(message);
   },
   role({ role }) {
@@ -140,7 +140,7 @@ const listeners = {
   },
   status(status) {
     const before = state.status;
-    keepSpeed(status);
+    keepWanted(status);
     state.status = status;
     if (status.paused !== before.paused) announce(status.paused ? "Paused." : "Running.");
     showStatus(status);
@@ -159,11 +159,18 @@ function episodesChanged() {
   redrawCharts();
 }
 
-/** A status that was on its way when the speed was changed does not change it back. */
-function keepSpeed(status) {
-  const { wanted } = state;
-  if (status.speed === wanted.speed) wanted.until = 0;
-  else if (performance.now() < wanted.until) status.speed = wanted.speed;
+/** A status that was on its way when the clock was changed does not change it back. */
+function keepWanted(status) {
+  Object.entries(state.wanted).forEach(([name, { value, until }]) => {
+    if (status[name] === value || performance.now() > until) delete state.wanted[name];
+    else status[name] = value;
+  });
+}
+
+/** What the person wants of the clock counts as done until the server tells otherwise. */
+function want(name, value) {
+  state.status[name] = value;
+  state.wanted[name] = { value, until: performance.now() + 1000 };
 }
 
 function showStatus(status) {
@@ -241,10 +248,15 @@ function toggleTake() {
 function changeSpeed(by) {
   const now = SPEEDS.indexOf(state.status.speed);
   const next = Math.min(Math.max((now < 0 ? 3 : now) + by, 0), SPEEDS.length - 1);
-  state.status.speed = SPEEDS[next];
-  state.wanted = { speed: SPEEDS[next], until: performance.now() + 1000 };
+  want("speed", SPEEDS[next]);
   write("speed", SPEED_NAMES[next]);
   send({ type: "speed", factor: SPEEDS[next] });
+}
+
+function togglePause() {
+  want("paused", !state.status.paused);
+  announce(state.status.paused ? "Paused." : "Running.");
+  send({ type: "pause", on: state.status.paused });
 }
 
 function toggleMute() {
@@ -269,7 +281,7 @@ const controls = createControls({
     press: () => send({ type: "assist", on: true }),
     release: () => send({ type: "assist", on: false }),
   },
-  pause: { press: () => send({ type: "pause", on: !state.status.paused }) },
+  pause: { press: togglePause },
   step: { press: () => send({ type: "step" }) },
   slower: { press: () => changeSpeed(-1) },
   faster: { press: () => changeSpeed(1) },
