@@ -9,9 +9,8 @@ import contextlib
 import dataclasses
 import pathlib
 import sys
-import time
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import tyro
@@ -23,18 +22,18 @@ from experiments.ablations.table import Line, to_markdown
 from experiments.changes import Parts, changed
 from experiments.cli import BadInput, checking_input, run_main
 from experiments.compile_cache import keep_programs
+from experiments.launchers import LaunchOptions
 from experiments.progress import Progress
 from experiments.signals import Interrupted
-from experiments.training import Plant, make_team, train_and_test
-from experiments.under_way import UnderWay
+from experiments.training import Batch, Plant, Tested, make_team
+from experiments.under_way import SAVE_SECONDS
 from hitl_jax import stats
 from hitl_jax.config import Hyper, Method, hyper_for, require
 from hitl_jax.figure_parts import paper_style, save
 from hitl_jax.files import ResultsError, locked, write_text_atomic
 from hitl_jax.provenance import short_commit
 from hitl_jax.results import Run
-from hitl_jax.rollout import Rollout
-from hitl_jax.runs import FinishedRun, RunSpec, num_slots
+from hitl_jax.runs import RunSpec
 from hitl_jax.summary import summarise_run
 from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS, to_columns, to_table
 
@@ -56,6 +55,7 @@ class AblationOptions:
         test_episodes: test episodes of a run, alone and again with the human.
         out: folder of the results: `runs.csv`, and a table and a figure for each ablation. An
             interrupted ablation goes on in the same folder where it was.
+        launch: where runs are made.
     """
 
     name: tyro.conf.Positional[str]
@@ -64,6 +64,7 @@ class AblationOptions:
     episodes: int = 300
     test_episodes: int = 20
     out: str = "runs/ablations"
+    launch: Annotated[LaunchOptions, tyro.conf.arg(name="")] = LaunchOptions()
 
     @property
     def budget(self) -> dict[str, int]:
@@ -84,6 +85,7 @@ def main(options: AblationOptions) -> int:
     with contextlib.ExitStack() as held:
         with checking_input():
             names = _names(options)
+            held.enter_context(options.launch.checked().ready())
             try:
                 held.enter_context(locked(out))
                 store = Store(out / "runs.csv")
@@ -101,7 +103,7 @@ def _make_runs(names: list[str], options: AblationOptions, store: Store) -> int:
         _run(names, options, store)
     except Interrupted as stop:
         print(
-            f"\nStopped. Finished runs are in {store.path}; the same command goes on where it was.",
+            f"\nStopped. Finished runs are in {store.path}; the same command makes the others.",
             flush=True,
         )
         code = stop.exit_code
@@ -127,12 +129,10 @@ class _Group(NamedTuple):
     Attributes:
         parts: of one of them.
         missing: those that the store lacks.
-        under_way: where they are saved.
     """
 
     parts: Parts
     missing: dict[RunId, Parts]
-    under_way: UnderWay
 
 
 def _run(names: list[str], options: AblationOptions, store: Store) -> None:
@@ -141,53 +141,43 @@ def _run(names: list[str], options: AblationOptions, store: Store) -> None:
     for name in names:
         for setting, parts in _parts(ABLATIONS[name]):
             program = digest(parts._replace(hyper=Hyper()), {})
-            if program not in groups:
-                path = store.path.parent / f"under_way-{program}"
-                groups[program] = _Group(parts, {}, UnderWay(path, parts.loop.frames))
+            group = groups.setdefault(program, _Group(parts, {}))
             ids = _ids(setting, parts, options)
-            groups[program].missing.update({run: parts for run in ids if run not in store})
-    missing = [run for group in groups.values() for run in group.missing]
-    methods = [m for m in Method if any(run.method == m for run in missing)]
-    with Progress(methods, len(missing), options.episodes, 0) as progress:
-        for group in sorted(groups.values(), key=lambda group: len(group.missing), reverse=True):
-            if group.missing:
-                _run_group(group, options, store, progress)
-            else:
-                group.under_way.tidy(store.keys(), progress.say)
+            group.missing.update({run: parts for run in ids if run not in store})
+    missing = {run.key: run for group in groups.values() for run in group.missing}
+    methods = [m for m in Method if any(run.method == m for run in missing.values())]
+    largest_first = sorted(groups.items(), key=lambda one: len(one[1].missing), reverse=True)
+    batches = [_batch(f"under_way-{name}", group, options) for name, group in largest_first]
+    progress = Progress(methods, len(missing), options.episodes, 0)
+    launcher = options.launch.make(store.path.parent, SAVE_SECONDS, store.keys, progress.say)
+    with progress, contextlib.closing(launcher.make(batches, progress.show)) as made:
+        for tested in made:
+            run = missing[tested.key]
+            row = _summary(tested)
+            store.add(run, row | {"commit": short_commit(tested.commit)})
+            progress.finish(tested.finished.run)
+            alone = row["test_return_mean"]
+            progress.say(
+                f"finished {run.setting or 'defaults'}, {run.method} seed {run.seed}: "
+                f"test {alone:.1f}"
+            )
 
 
-def _run_group(group: _Group, options: AblationOptions, store: Store, progress: Progress) -> None:
-    """Trains and tests runs of one compiled program, seed after seed: early tables are fair."""
-    runs: dict[RunSpec, RunId] = {}
-    for run, parts in sorted(group.missing.items(), key=lambda item: item[0].seed):
-        hyper = hyper_for(Method(run.method), parts.hyper)
-        spec = RunSpec(Method(run.method), run.seed, hyper, options.episodes, setting=run.digest)
-        runs[spec] = run
-    config, loop, _, human_policy = group.parts
-    agent = make_team(config, human_policy)
-    plant = Plant(_BACKEND, num_slots(len(runs), _SLOTS), None, options.test_episodes)
-    under_way = group.under_way
-    going_on = under_way.take({run.key for run in group.missing}, store.keys(), progress.say)
-
-    def watch(rollout: Rollout) -> None:
-        progress.show(rollout.runs())
-        under_way.watch(rollout)
-
-    tested = train_and_test(agent, list(runs), loop, plant, watch, going_on)
-    try:
-        with contextlib.closing(tested):
-            for finished, tests, _ in tested:
-                run = runs[finished.run.spec]
-                row = _summary(finished, tests)
-                store.add(run, row | {"commit": short_commit(under_way.commit_of(run.key))})
-                progress.finish(finished.run)
-                alone = row["test_return_mean"]
-                setting = run.setting or "defaults"
-                progress.say(f"finished {setting}, {run.method} seed {run.seed}: test {alone:.1f}")
-    except Interrupted:
-        under_way.save()
-        raise
-    under_way.end()
+def _batch(name: str, group: _Group, options: AblationOptions) -> Batch:
+    """Runs of one compiled program, seed after seed: early tables are fair."""
+    specs = [
+        RunSpec(
+            Method(run.method),
+            run.seed,
+            hyper_for(Method(run.method), parts.hyper),
+            options.episodes,
+            setting=run.digest,
+        )
+        for run, parts in sorted(group.missing.items(), key=lambda item: item[0].seed)
+    ]
+    agent = make_team(group.parts.agent, group.parts.human_policy)
+    plant = Plant(_BACKEND, _SLOTS, None, options.test_episodes)
+    return Batch(name, agent, specs, group.parts.loop, plant)
 
 
 def _parts(ablation: Ablation) -> Iterator[tuple[Setting, Parts]]:
@@ -201,12 +191,12 @@ def _ids(setting: Setting, parts: Parts, options: AblationOptions) -> list[RunId
     return [RunId(setting.name, m, seed, mark) for m in setting.methods for seed in seeds]
 
 
-def _summary(finished: FinishedRun, tests: list[Row]) -> Row:
-    run = finished.run
+def _summary(tested: Tested) -> Row:
+    run = tested.finished.run
     episodes = to_table(to_columns(run.all_episodes(), EPISODE_COLUMNS), EPISODE_COLUMNS)
-    tested = to_table(to_columns(tests, TEST_COLUMNS), TEST_COLUMNS)
-    info = {"wall_seconds": time.monotonic() - run.started, "diverged": run.diverged}
-    row = summarise_run(Run(run.spec.key, info, episodes, tested))
+    tests = to_table(to_columns(tested.tests, TEST_COLUMNS), TEST_COLUMNS)
+    info = {"wall_seconds": tested.wall_seconds, "diverged": run.diverged}
+    row = summarise_run(Run(run.spec.key, info, episodes, tests))
     return {name: value for name, value in row.items() if name not in ("method", "seed")}
 
 

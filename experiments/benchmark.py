@@ -1,7 +1,7 @@
 """How near each part is to what this machine can do: `python -m experiments.benchmark`.
 
 Every ratio is of two figures of one run, since machines differ and are noisy. Let nothing else run
-beside it. `scaling`, `saves`, `walkers`, `live` and `peers` take some minutes each.
+beside it. `scaling`, `saves`, `walkers`, `live`, `launchers` and `peers` take some minutes each.
 """
 
 import dataclasses
@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 from experiments.benchmarks.learner import measure_learner
+from experiments.benchmarks.launchers import measure_launchers
 from experiments.benchmarks.live import measure_live
 from experiments.benchmarks.loop import measure_loop
 from experiments.benchmarks.peers import measure_peers
@@ -33,7 +34,8 @@ class BenchmarkOptions:
 
     Attributes:
         only: parts to measure: some of learner, pool, loop, scaling, saves, walkers, live (which
-            needs the extra `live`), peers (which needs the extra `bench`).
+            needs the extra `live`), launchers (which needs the extra `ray`), peers (which needs the
+            extra `bench`).
         json: a file for the same numbers.
         plot: a .png or .svg file for a picture of the part scaling.
         tile: runs vmapped together on one device, in the part learner; by default as in the sweep.
@@ -41,7 +43,7 @@ class BenchmarkOptions:
     """
 
     only: tuple[str, ...] = (
-        *("learner", "pool", "loop", "scaling", "saves", "walkers", "live", "peers"),
+        *("learner", "pool", "loop", "scaling", "saves", "walkers", "live", "launchers", "peers"),
     )
     json: str | None = None
     plot: str | None = None
@@ -88,6 +90,7 @@ PARTS: dict[str, Callable[[BenchmarkOptions], list[Row]]] = {
     "saves": lambda options: measure_saves(options.seconds),
     "walkers": lambda options: measure_walkers(options.seconds),
     "live": lambda options: measure_live(options.seconds),
+    "launchers": lambda options: measure_launchers(options.seconds),
     "peers": lambda options: measure_peers(options.seconds),
 }
 

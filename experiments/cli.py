@@ -9,6 +9,7 @@ from typing import TypeVar
 
 import tyro
 
+from experiments.launchers.on_ray import LaunchError
 from hitl_jax.envs import WalkerError
 from hitl_jax.files import ResultsError
 
@@ -35,7 +36,7 @@ def run_main(options: type[T], main: Callable[[T], int], args: Sequence[str] | N
     except BadInput as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except (ResultsError, WalkerError) as error:
+    except (ResultsError, WalkerError, LaunchError) as error:
         print("\n".join([f"error: {error}", *getattr(error, "__notes__", [])]), file=sys.stderr)
         return 1
     except OSError as error:

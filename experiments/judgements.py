@@ -54,14 +54,24 @@ def keep(folder: pathlib.Path, dangerous: np.ndarray | None) -> None:
         write(folder / _IN_FOLDER, dangerous)
 
 
+def load_kept(folder: pathlib.Path) -> np.ndarray | None:
+    """What `keep` has kept, bool [T]; None where the human was simulated.
+
+    Raises:
+        ValueError: one line, if the file is damaged.
+    """
+    path = folder / _IN_FOLDER
+    return _read(path, PREFIX + str(path)) if path.exists() else None
+
+
 def kept(folder: pathlib.Path) -> HumanPart | None:
     """The recorded human of results; None where it was simulated.
 
     Raises:
         ValueError: one line, if the file is damaged.
     """
-    path = folder / _IN_FOLDER
-    return recorded(_read(path, PREFIX + str(path))) if path.exists() else None
+    dangerous = load_kept(folder)
+    return None if dangerous is None else recorded(dangerous)
 
 
 def _read(path: pathlib.Path, human: str) -> np.ndarray:

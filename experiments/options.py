@@ -5,11 +5,14 @@ from typing import Annotated
 
 import tyro
 
-from experiments import judgements
+from experiments import judgements, shards
+from experiments.launchers import LaunchOptions
+from experiments.shards import Shard
 from experiments.under_way import SAVE_SECONDS
-from hitl_jax.config import AgentConfig, Hyper, Method, require, validate_hyper
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require, validate_hyper
 from hitl_jax.envs import BACKENDS
-from hitl_jax.runs import LoopConfig
+from hitl_jax.evaluation import milestones
+from hitl_jax.runs import LoopConfig, RunSpec
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,6 +55,9 @@ class SweepOptions:
             scripted walker).
         save_seconds: how often runs under way are saved [s]: what a killed process loses at most.
         out: folder of the results. An interrupted sweep goes on in the same folder.
+        shard: of a sweep in parts, which to make: `3/16` is the third of sixteen. Each has a folder
+            of its own; `experiments.merge` makes one of them.
+        launch: where runs are made.
         agent: static choices.
         loop: how much a run plays and learns.
         hyper: numbers that can differ from run to run.
@@ -70,6 +76,8 @@ class SweepOptions:
     human_policy: str | None = None
     save_seconds: float = SAVE_SECONDS
     out: str = "runs/sweep"
+    shard: str | None = None
+    launch: Annotated[LaunchOptions, tyro.conf.arg(name="")] = LaunchOptions()
     agent: Annotated[AgentConfig, tyro.conf.arg(name="")] = AgentConfig()
     loop: Annotated[LoopConfig, tyro.conf.arg(name="")] = LoopConfig()
     hyper: Annotated[Hyper, tyro.conf.arg(name="")] = Hyper()
@@ -79,6 +87,25 @@ class SweepOptions:
         names = [field.name for field in dataclasses.fields(Preset)]
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         return dataclasses.replace(PRESETS[self.preset], **given)
+
+    def specs(self) -> list[RunSpec]:
+        """The runs, seed after seed: what there is at any time is a fair comparison."""
+        scale = self.scale()
+        snapshots = milestones(scale.episodes)
+        specs = [
+            RunSpec(method, seed, hyper_for(method, self.hyper), scale.episodes, snapshots)
+            for seed in range(self.first_seed, self.first_seed + scale.seeds)
+            for method in map(Method, self.methods)
+        ]
+        part = self.part()
+        return specs if part is None else part.part(specs)
+
+    def part(self) -> Shard | None:
+        """The shard that is asked for; None for all of the sweep."""
+        if self.shard is None:
+            return None
+        number, of = shards.parse(self.shard)
+        return Shard(number, of, list(self.methods), self.first_seed, self.scale().seeds)
 
     def checked(self) -> "SweepOptions":
         """Checks everything that can be checked before work starts; returns itself.
@@ -104,6 +131,10 @@ class SweepOptions:
         if self.workers is not None:
             require("workers", self.workers, at_least=1)
         require("save_seconds", self.save_seconds, at_least=0.0)
+        self.launch.checked()
+        if not self.specs():
+            runs = len(self.methods) * scale.seeds
+            raise ValueError(f"--shard {self.shard}: has none of the {runs} runs")
         validate_hyper(self.hyper)
         require_team(self.agent, self.loop)
         return self

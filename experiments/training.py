@@ -3,21 +3,23 @@
 import hashlib
 import itertools
 import pathlib
+import time
 from collections.abc import Callable, Generator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from experiments.signals import deferred_interrupts
 from hitl_jax import checkpoint, human_actions
 from hitl_jax.agent import Agent, make_agent
 from hitl_jax.config import AgentConfig, Method
-from hitl_jax.envs import WalkerPool, make_pool
+from hitl_jax.envs import WalkerPool, make_pool, num_cores
 from hitl_jax.episodes import Row
 from hitl_jax.evaluation import Evaluator, Mode, evaluate_run, evaluate_snapshots
 from hitl_jax.human import HumanPart
 from hitl_jax.networks import Actor
+from hitl_jax.provenance import git_commit, processor, versions
 from hitl_jax.rollout import Rollout
 from hitl_jax.run_key import RunKey
-from hitl_jax.runs import FinishedRun, LoopConfig, RunSpec, episode_seed
+from hitl_jax.runs import FinishedRun, LoopConfig, RunSpec, episode_seed, num_slots
 from hitl_jax.saved import SavedRun
 
 
@@ -26,7 +28,7 @@ class Plant(NamedTuple):
 
     Attributes:
         backend: one of `hitl_jax.envs.BACKENDS`.
-        slots: runs at a time.
+        slots: runs at a time, at most.
         workers: processes that step walkers; None is one a core.
         test_episodes: of one test.
     """
@@ -78,35 +80,65 @@ def policy_digest(policy: str | None, option: str = "human-policy") -> str | Non
     return "sha256:" + hashlib.sha256(held).hexdigest()
 
 
+class Batch(NamedTuple):
+    """Runs that one compiled program trains side by side.
+
+    Attributes:
+        name: of the batch among others of one command; its saves are kept by it.
+        agent: the team.
+        specs: the runs.
+        loop: how much they play and learn.
+        plant: the walkers.
+    """
+
+    name: str
+    agent: Agent
+    specs: Sequence[RunSpec]
+    loop: LoopConfig
+    plant: Plant
+
+    @property
+    def slots(self) -> int:
+        """Runs at a time, on this machine."""
+        return num_slots(len(self.specs), self.plant.slots)
+
+
 class Tested(NamedTuple):
-    """A run that has ended.
+    """A run that has ended, and where and how it was made.
 
     Attributes:
         finished: the run.
         tests: rows of its tests at the end.
         progress: rows of its tests at snapshots.
+        wall_seconds: from its first step to the end of its tests [s].
+        machine: processor and number of its cores.
+        versions: of what its numbers depend on.
+        commit: of the code.
     """
 
     finished: FinishedRun
     tests: list[Row]
     progress: list[Row]
+    wall_seconds: float
+    machine: str
+    versions: dict[str, Any]
+    commit: str
+
+    @property
+    def key(self) -> RunKey:
+        """The run's name."""
+        return self.finished.run.spec.key
 
 
 def train_and_test(
-    agent: Agent,
-    specs: Sequence[RunSpec],
-    loop: LoopConfig,
-    plant: Plant,
+    batch: Batch,
     watch: Callable[[Rollout], None],
     saved: dict[RunKey, SavedRun] | None = None,
 ) -> Generator[Tested]:
     """Gives each run as it ends, tested.
 
     Args:
-        agent: the team.
-        specs: the runs.
-        loop: how much they play and learn.
-        plant: the walkers.
+        batch: the runs.
         watch: called after each chunk.
         saved: runs to go on with, see `Rollout`; None also says that `watch` saves none.
 
@@ -115,6 +147,8 @@ def train_and_test(
             ended; the rollout that `watch` has seen can be saved.
         KeyboardInterrupt: after a second Ctrl-C, at once.
     """
+    _, agent, specs, loop, plant = batch
+    machine, commit = f"{processor()}, {num_cores()} cores", git_commit() or "unknown"
 
     def pool_of(phase: str, walkers: int) -> WalkerPool:
         # For EnvPool, whose walkers cannot be seeded one by one: other runs, other seed.
@@ -124,7 +158,7 @@ def train_and_test(
         return make_pool(plant.backend, walkers, plant.workers, seed=seed)
 
     with (
-        pool_of("train", plant.slots) as pool,
+        pool_of("train", batch.slots) as pool,
         pool_of("test", plant.test_episodes) as test_pool,
     ):
         evaluator = Evaluator(agent, test_pool)
@@ -137,7 +171,8 @@ def train_and_test(
                     modes = _modes(finished.run.spec.method)
                     tests = evaluate_run(evaluator, finished, modes, lambda *_: interrupted())
                     progress = evaluate_snapshots(evaluator, finished.run, lambda *_: interrupted())
-                    yield Tested(finished, tests, progress)
+                    took = time.monotonic() - finished.run.started
+                    yield Tested(finished, tests, progress, took, machine, versions(), commit)
                 watch(rollout)
                 interrupted()
 

@@ -8,7 +8,6 @@ from hitl_jax.files import ResultsError
 from hitl_jax.provenance import git_commit
 from hitl_jax.rollout import Rollout
 from hitl_jax.run_key import RunKey
-from hitl_jax.runs import Run
 from hitl_jax.saved import SavedRun
 from hitl_jax.saves import Saves
 
@@ -85,10 +84,6 @@ class UnderWay:
             ]
             self._saves.write([*runs, *self._left_alone])
             self._save_at = time.monotonic() + self._seconds
-
-    def runs(self) -> list[Run]:
-        """The runs that `watch` saw last."""
-        return self._rollout.runs() if self._rollout else []
 
     def commit_of(self, key: RunKey) -> str:
         """The code that a run was trained by; more than one commit if it was changed meanwhile."""

@@ -162,11 +162,12 @@ def empty_acting(agent: Agent, num_runs: int, device: jax.Device) -> Acting:
     return jax.jit(make, out_shardings=SingleDeviceSharding(device))()
 
 
+@functools.lru_cache(maxsize=8)
 def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
-    """Compiles lazily: each program at its first call on a device.
+    """Compiles lazily: each program at its first call on a device, and once for equal arguments.
 
     Args:
-        agent: the team.
+        agent: the team; its parts must be hashable, as functions are.
         num_updates: updates of the task learner in one call of `learn`.
         tile: runs that are vmapped together; fewer keep the cache, more feed a GPU.
     """

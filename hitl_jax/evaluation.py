@@ -52,10 +52,6 @@ class Evaluator:
         config = dataclasses.replace(agent.config, intervention="takeover")
         self._agent = agent._replace(config=config)
         self._pool = pool
-        step = functools.partial(decisions.act_or_begin, self._agent)
-        episodes = jax.vmap(step, in_axes=(None, None, 0, 0, 0))
-        self._act = jax.jit(jax.vmap(episodes, in_axes=(None, 0, 0, 0, 0)))
-        self._init = jax.jit(self._init_acting)
 
     @property
     def num_episodes(self) -> int:
@@ -90,7 +86,7 @@ class Evaluator:
         hyper = frozen(hyper, human_present=mode == "assisted")
         # Committed to the acting device, the programs run there, a GPU or not.
         hyper, params, key = jax.device_put((hyper, params, key), acting_device())
-        state = self._init(hyper, boundary, key, np.arange(seeds.shape[1]))
+        state = _init(self._agent, hyper, boundary, key, np.arange(seeds.shape[1]))
         layout = self._agent.layout
         walkers = self._pool.num_walkers
         counter = EpisodeCounter(walkers)
@@ -105,7 +101,7 @@ class Evaluator:
         while active.any():
             seen = observation[: seeds.size].reshape(*seeds.shape, -1)
             live = active[: seeds.size].reshape(seeds.shape)
-            state, packed = self._act(hyper, params, state, seen, live)
+            state, packed = _act(self._agent, hyper, params, state, seen, live)
             decided[: seeds.size] = np.asarray(packed).reshape(seeds.size, -1)
             # A policy of numbers that are not finite cannot act.
             unable = active & ~np.isfinite(decided).all(axis=1)
@@ -139,17 +135,35 @@ class Evaluator:
             observation = answer.observation
         return [row for row in rows if row is not None]
 
-    def _init_acting(
-        self, hyper: RunHyper, boundary: jax.Array, key: jax.Array, episodes: jax.Array
-    ) -> ActingState:
-        """Acting states, leaves [K, E, ...]; an episode's key depends on nothing else."""
 
-        def one(boundary: jax.Array, episode: jax.Array) -> ActingState:
-            state = init_acting(self._agent, hyper, jax.random.fold_in(key, episode))
-            return dataclasses.replace(state, boundary=boundary)
+@functools.partial(jax.jit, static_argnums=0)
+def _init(
+    agent: Agent, hyper: RunHyper, boundary: jax.Array, key: jax.Array, episodes: jax.Array
+) -> ActingState:
+    """Acting states, leaves [K, E, ...]; an episode's key depends on nothing else."""
 
-        policies = jax.vmap(one, in_axes=(None, 0))
-        return jax.vmap(policies, in_axes=(0, None))(boundary, episodes)
+    def one(boundary: jax.Array, episode: jax.Array) -> ActingState:
+        state = init_acting(agent, hyper, jax.random.fold_in(key, episode))
+        return dataclasses.replace(state, boundary=boundary)
+
+    policies = jax.vmap(one, in_axes=(None, 0))
+    return jax.vmap(policies, in_axes=(0, None))(boundary, episodes)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _act(
+    agent: Agent,
+    hyper: RunHyper,
+    params: Behavior,
+    state: ActingState,
+    observation: jax.Array,
+    live: jax.Array,
+) -> tuple[ActingState, jax.Array]:
+    """A step of E episodes with each of K policies, leaves [K, E, ...]."""
+    step = functools.partial(decisions.act_or_begin, agent)
+    episodes = jax.vmap(step, in_axes=(None, None, 0, 0, 0))
+    everything = jax.vmap(episodes, in_axes=(None, 0, 0, 0, 0))
+    return everything(hyper, params, state, observation, live)
 
 
 def evaluate_run(

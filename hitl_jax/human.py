@@ -8,6 +8,7 @@ state, its parameters and a key, and works under jit, vmap and scan. A recorded 
 a person at the keyboard is one more `HumanPart`.
 """
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -313,6 +314,7 @@ def chain(*parts: HumanPart) -> HumanPart:
     return HumanPart(init=init, begin_episode=begin_episode, judge=judge, notify=notify)
 
 
+@functools.cache
 def simulated_human(danger: str = "threshold", max_delay: int = MAX_DELAY) -> HumanPart:
     """Danger ∘ delay ∘ mistakes ∘ lapses ∘ attention, in that order.
 

@@ -1,5 +1,6 @@
 """The human's actions a^h of one run: where they come from, behind one interface."""
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -95,6 +96,7 @@ class WalkerState:
     support_knee: chex.Array
 
 
+@functools.cache
 def scripted_walker() -> ActionSource:
     """Gymnasium's scripted walker, as a pure function: slow, and a fair human for BipedalWalker-v3.
 

@@ -104,7 +104,9 @@ class ResultsFolder:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = pathlib.Path(path)
 
-    def create_or_resume(self, config: dict[str, Any], command: str) -> list[str]:
+    def create_or_resume(
+        self, config: dict[str, Any], command: str, shard: dict[str, Any] | None = None
+    ) -> list[str]:
         """Makes the folder, or makes sure that it holds results of the same config.
 
         On resuming, config.json keeps the first command and versions (each run.json has its own),
@@ -113,12 +115,13 @@ class ResultsFolder:
         Args:
             config: all that defines the numbers: a nested dict of what JSON can hold, no NaN.
             command: the command line, for the record.
+            shard: which part of a sweep the folder is for, if it is not for all of it.
 
         Returns:
             What of commit and versions is not as it was when the folder was made.
 
         Raises:
-            ConfigMismatch: if the folder was made with another config.
+            ConfigMismatch: if the folder was made with another config, or for another shard.
             ResultsError: if the folder holds something else, or cannot be written.
         """
         config = json.loads(_to_json(config))  # tuples become lists, as on the disk
@@ -130,7 +133,8 @@ class ResultsFolder:
             with tempfile.TemporaryFile(dir=self.path, prefix=TEMPORARY):
                 pass  # a folder that cannot be written is noticed now, not after hours
             if (self.path / "config.json").exists():
-                _compare(self.path, self.load_config(), config)
+                require_same(self.path, self.load_config(), config)
+                require_same(self.path, {"shard": self.load_shard()}, {"shard": shard})
                 remove_leftovers(self.path)
                 return _changes(_read_json(self.path / "config.json", ()), provenance)
             ours = (TEMPORARY, LOCK)
@@ -141,7 +145,8 @@ class ResultsFolder:
                     "name a new or an empty folder"
                 )
             remove_leftovers(self.path)
-        document = {"format": FORMAT, "config": config, "command": command} | provenance
+        part = {} if shard is None else {"shard": shard}
+        document = {"format": FORMAT, "config": config, "command": command} | part | provenance
         write_text_atomic(self.path / "config.json", _to_json(document))
         return []
 
@@ -155,6 +160,14 @@ class ResultsFolder:
         if not path.exists():
             raise ResultsError(f"{self.path}: no results here (no config.json)")
         return _read_json(path, ("config",))["config"]
+
+    def load_shard(self) -> dict[str, Any] | None:
+        """Which part of a sweep the folder is for; None where it is for all of it.
+
+        Raises:
+            ResultsError: if config.json is damaged.
+        """
+        return _read_json(self.path / "config.json", ("config",)).get("shard")
 
     def save_run(
         self,
@@ -208,6 +221,21 @@ class ResultsFolder:
             "episodes.npz": _to_npz(recorded, np.savez_compressed),
             "run.json": _to_json(document).encode(),
         }
+        write_folder_atomic(final, contents)
+
+    def copy_run(self, source: "ResultsFolder", key: RunKey) -> None:
+        """Copies a finished run from another folder, whole or not at all.
+
+        Raises:
+            ResultsError: if it is damaged there, is here already, or the disk refuses.
+        """
+        self._require_there()
+        final, origin = self._run_path(key), source._run_path(key)
+        if final.exists():
+            raise ResultsError(f"{final}: this run is finished already")
+        source.load_run(key)
+        with named_errors(origin):
+            contents = {path.name: path.read_bytes() for path in sorted(origin.iterdir())}
         write_folder_atomic(final, contents)
 
     def finished(self) -> set[RunKey]:
@@ -317,7 +345,17 @@ def flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def _compare(path: pathlib.Path, has: dict[str, Any], asked: dict[str, Any]) -> None:
+def require_same(path: pathlib.Path, has: dict[str, Any], asked: dict[str, Any]) -> None:
+    """Makes sure that a folder was made with what is asked for.
+
+    Args:
+        path: the folder.
+        has: what it was made with, a nested dict of what JSON can hold.
+        asked: what is asked for.
+
+    Raises:
+        ConfigMismatch: naming the first differences.
+    """
     old, new, nothing = flatten(has), flatten(asked), object()
     keys = [k for k in old | new if old.get(k, nothing) != new.get(k, nothing)]
     if not keys:

@@ -37,9 +37,16 @@ def compiled_in_haste():
     """For what is right or wrong however it is rounded: compiling takes two thirds of the time."""
     import jax
 
-    jax.config.update("jax_disable_most_optimizations", True)
+    from hitl_jax import batch
+
+    def begin(hastily):
+        batch.make_programs.cache_clear()
+        jax.clear_caches()
+        jax.config.update("jax_disable_most_optimizations", hastily)
+
+    begin(True)
     yield
-    jax.config.update("jax_disable_most_optimizations", False)
+    begin(False)
 
 
 def pytest_collection_modifyitems(items):

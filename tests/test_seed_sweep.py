@@ -61,7 +61,7 @@ def swept(tmp_path_factory):
     out = tmp_path_factory.mktemp("sweep") / "results"
     with pytest.MonkeyPatch.context() as patch:
         # As if figures were due after every chunk, the last ones of each run included.
-        patch.setattr(_Sweep, "_draw_now_and_then", _Sweep.save_partial)
+        patch.setattr(_Sweep, "_draw_now_and_then", _Sweep._save_partial)
         assert _run(out) == 0
     return out
 

@@ -1,0 +1,79 @@
+"""How a sweep is divided among machines."""
+
+import pytest
+
+from experiments import shards
+from experiments.launchers.on_ray import LaunchError, Places, divided, places_of
+from experiments.shards import Shard
+from experiments.training import Batch, Plant
+from hitl_jax.config import Hyper, Method, hyper_for
+from hitl_jax.run_key import RunKey
+from hitl_jax.runs import LoopConfig, RunSpec
+
+
+def _machine(cpus, gpus=0, alive=True):
+    resources = {"CPU": float(cpus), "GPU": float(gpus), "memory": 1e9}
+    return {"Alive": alive, "Resources": {name: n for name, n in resources.items() if n}}
+
+
+@pytest.mark.parametrize(
+    ("machines", "places"),
+    [
+        ([_machine(2)], Places(1, 2, 0)),
+        ([_machine(0), _machine(4), _machine(4)], Places(2, 4, 0)),
+        ([_machine(4), _machine(4, alive=False)], Places(1, 4, 0)),
+        # A larger one takes as many groups as it has room for.
+        ([_machine(4), _machine(16)], Places(5, 4, 0)),
+        # Where there are GPUs, a group takes one, and its share of the cores.
+        ([_machine(16, gpus=4), _machine(8)], Places(4, 4, 1)),
+        ([_machine(16, gpus=4), _machine(8, gpus=8)], Places(12, 1, 1)),
+    ],
+)
+def test_a_group_takes_a_machine(machines, places):
+    assert places_of(machines) == places
+
+
+def test_a_cluster_without_cores_is_refused():
+    with pytest.raises(LaunchError, match="no machine with a core for us"):
+        places_of([_machine(0)])
+
+
+def _batch(name, runs, slots=32):
+    hyper = hyper_for(Method.SRL, Hyper())
+    specs = [RunSpec(Method.SRL, seed, hyper, 1) for seed in range(runs)]
+    return Batch(name, None, specs, LoopConfig(), Plant("lean", slots, None, 1))
+
+
+@pytest.mark.parametrize(
+    ("runs", "places", "sizes"),
+    [
+        ([30], 1, [30]),
+        ([30], 4, [7, 8, 7, 8]),
+        ([3], 10, [1, 1, 1]),
+        ([3000], 10, [30] * 100),  # In ten full rounds, not in nine and a part.
+        ([20, 10], 3, [10, 10, 10]),
+        ([5, 0], 2, [2, 3]),
+        ([0], 4, []),
+    ],
+)
+def test_groups_are_of_a_size_and_leave_no_machine_idle(runs, places, sizes):
+    batches = [_batch(f"batch {number}", count) for number, count in enumerate(runs)]
+    groups = divided(batches, places)
+    assert [len(group.specs) for group in groups] == sizes
+    for batch in batches:
+        mine = [spec for group in groups if group.name == batch.name for spec in group.specs]
+        assert mine == batch.specs
+
+
+@pytest.mark.parametrize("text", ["", "3", "0/4", "5/4", "1/0", "-1/4", "a/b", "1/2/3", "1.5/4"])
+def test_what_is_no_shard_is_refused(text):
+    with pytest.raises(ValueError, match=r"--shard .*: must be NUMBER/OF, for example 3/16"):
+        shards.parse(text)
+
+
+def test_shards_are_the_whole():
+    assert shards.parse("3/16") == (3, 16)
+    parts = [Shard(number, 4, ["srl", "hitl-ac"], 5, 3).runs() for number in range(1, 5)]
+    assert [len(part) for part in parts] == [1, 2, 1, 2]
+    whole = [RunKey(method, seed) for seed in (5, 6, 7) for method in ("srl", "hitl-ac")]
+    assert [key for part in parts for key in part] == whole

@@ -1,0 +1,201 @@
+"""A sweep on several machines: shards, and a Ray cluster whose machines are processes here."""
+
+import contextlib
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+
+import pytest
+import small
+
+from experiments import merge, seed_sweep
+from experiments.cli import run_main
+from experiments.merge import MergeOptions
+from experiments.options import SweepOptions
+from experiments.seed_sweep import main
+from hitl_jax.results import ResultsFolder
+
+# A cluster begins by a fork, in which nothing of JAX's is used.
+pytestmark = pytest.mark.filterwarnings("ignore:os.fork", "ignore::ResourceWarning")
+
+_TABLES = ("episodes.csv", "test.csv", "progress.csv", "params.npz", "episodes.npz")
+_OPTIONS = [
+    *("--methods", "srl", "--seeds", "4", "--episodes", "2", "--test-episodes", "1"),
+    *("--warmup-steps", "64", *small.OPTIONS),
+]
+
+
+def _sweep(out, *options):
+    return run_main(SweepOptions, main, [*_OPTIONS, *options, "--out", str(out)])
+
+
+def _merge(*arguments):
+    return run_main(MergeOptions, merge.main, [*map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    out = tmp_path_factory.mktemp("whole") / "results"
+    assert _sweep(out) == 0
+    return out
+
+
+def _assert_equal(out, whole):
+    names = sorted(path.relative_to(whole) for path in whole.glob("runs/*/*/*"))
+    assert sorted(path.relative_to(out) for path in out.glob("runs/*/*/*")) == names
+    assert len(names) == 4 * 6
+    for name in names:
+        if name.name in _TABLES:
+            assert (out / name).read_bytes() == (whole / name).read_bytes(), name
+
+
+@pytest.fixture(scope="module")
+def shards(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("shards")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(seed_sweep, "draw", lambda _: [])  # What is merged is drawn.
+        for number in range(1, 5):
+            assert _sweep(folder / str(number), "--shard", f"{number}/4") == 0
+    return [folder / str(number) for number in range(1, 5)]
+
+
+def test_shards_merged_are_the_whole(shards, whole, tmp_path, capsys):
+    out = tmp_path / "merged"
+    for _ in range(2):  # The second time there is nothing left to copy.
+        assert _merge(*reversed(shards), "--out", out) == 0
+        assert f"4 runs of 4 shards: {out}" in capsys.readouterr().out
+    _assert_equal(out, whole)
+    assert ResultsFolder(out).load_config() == ResultsFolder(whole).load_config()
+    assert ResultsFolder(out).load_shard() is None
+    assert (out / "figures" / "figure4_training.png").exists()
+
+
+def test_what_is_no_set_of_shards_is_named(shards, whole, tmp_path, capsys):
+    one, two, three, four = shards
+    foreign, lacking, other = (tmp_path / name for name in ("foreign", "lacking", "other"))
+    for folder, source in ((foreign, four), (lacking, two), (other, four)):
+        shutil.copytree(source, folder)
+    config = (four / "config.json").read_text()
+    (foreign / "config.json").write_text(config.replace('"warmup_steps": 64', '"warmup_steps": 5'))
+    (other / "config.json").write_text(config.replace('"of": 4', '"of": 5'))
+    shutil.rmtree(lacking / "runs")
+    out = tmp_path / "out"
+    for folders, said in (
+        ([], "FOLDER (none): must be the folders of all shards"),
+        ([one, three], "shards 2/4, 4/4: missing"),
+        ([one, two, three, four, two], f"{two}: shard 2/4 is there twice: also as {two}"),
+        ([one, two, three, foreign], f"{foreign}: made with another config: hyper.warmup_steps"),
+        ([one, two, three, other], f"{other}: made with another config: shard.of"),
+        (
+            [one, lacking, three, four],
+            f"{lacking}: shard 2/4 lacks 1 of its 1 runs (srl-seed-",
+        ),
+        ([one, whole], f"{whole}: is no shard: it was made without --shard"),
+        ([one, tmp_path / "none"], f"{tmp_path / 'none'}: no results here"),
+    ):
+        assert _merge(*folders, "--out", out) == 2
+        error = capsys.readouterr().err
+        assert said in error
+        assert error.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_folder_is_of_one_shard(shards, capsys):
+    for option, said in (
+        (["--shard", "2/4"], "shard.number: folder has 1, asked for 2"),
+        ([], "folder has 4, asked for nothing"),
+        (["--shard", "5/4"], "--shard 5/4: must be NUMBER/OF"),
+        (["--shard", "1/9"], "--shard 1/9: has none of the 4 runs"),
+    ):
+        assert _sweep(shards[0], *option) == 2
+        assert said in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def ray():
+    return pytest.importorskip("ray", reason='needs pip install -e ".[ray]"')
+
+
+@pytest.fixture
+def cluster(ray):
+    """A head without cores, and two machines of one core each."""
+    from ray.cluster_utils import Cluster
+
+    head = {"num_cpus": 0, "include_dashboard": False}
+    made = Cluster(initialize_head=True, head_node_args=head)
+    try:
+        made.machines = [made.add_node(num_cpus=1) for _ in range(2)]
+        yield made
+    finally:
+        made.shutdown()
+
+
+@contextlib.contextmanager
+def _driver(cluster, out):
+    options = ["--launcher", "ray", "--ray-address", cluster.address, "--out", str(out)]
+    command = [sys.executable, "-m", "experiments.seed_sweep", *_OPTIONS, *options]
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1", "JAX_NUM_CPU_DEVICES": "2"},
+    ) as driver:
+        try:
+            yield driver
+        finally:
+            driver.kill()
+
+
+def _said_until(driver, words):
+    """The lines up to the first with these words."""
+    lines = []
+    for line in driver.stdout:
+        lines.append(line)
+        if words in line:
+            return lines
+    raise AssertionError("".join(lines))
+
+
+def test_a_driver_that_is_killed_goes_on(cluster, whole, tmp_path):
+    """Nothing that was finished is made again."""
+    out = tmp_path / "results"
+    with _driver(cluster, out) as driver:
+        said = _said_until(driver, "finished ")
+        driver.send_signal(signal.SIGKILL)
+        driver.wait()
+    assert "4 runs in 2 groups on a Ray cluster with room for 2, each of 1 cores\n" in said
+    before = len(ResultsFolder(out).finished())
+    assert 1 <= before < 4
+    with _driver(cluster, out) as driver:
+        said, _ = driver.communicate(timeout=300)
+    assert driver.returncode == 0, said
+    assert said.count("\nfinished ") == 4 - before
+    _assert_equal(out, whole)
+    assert (out / "figures" / "figure4_training.png").exists()
+
+
+def test_a_machine_that_is_lost_gives_its_runs_back(cluster, whole, tmp_path):
+    out = tmp_path / "results"
+    with _driver(cluster, out) as driver:
+        for _ in cluster.machines:
+            _said_until(driver, " begins 2 runs")
+        cluster.remove_node(cluster.machines[0], allow_graceful=False)
+        said, _ = driver.communicate(timeout=300)
+    assert driver.returncode == 0, said
+    assert re.search(r"^a machine was lost: \S+ begins 2 runs$", said, re.MULTILINE), said
+    finished = re.findall(r"^finished srl seed \d", said, re.MULTILINE)
+    assert sorted(finished) == [f"finished srl seed {seed}" for seed in range(4)]
+    _assert_equal(out, whole)
+
+
+def test_what_is_no_cluster_is_refused(ray, tmp_path, capsys):
+    out = tmp_path / "results"
+    assert _sweep(out, "--ray-address", "127.0.0.1:1") == 2
+    assert "--ray-address 127.0.0.1:1: needs --launcher ray" in capsys.readouterr().err
+    assert _sweep(out, "--launcher", "slurm") == 2
+    assert "--launcher slurm: must be one of local, ray" in capsys.readouterr().err
+    assert not out.exists()
