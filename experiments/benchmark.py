@@ -12,8 +12,8 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from experiments.benchmarks.learner import measure_learner
 from experiments.benchmarks.launchers import measure_launchers
+from experiments.benchmarks.learner import measure_learner
 from experiments.benchmarks.live import measure_live
 from experiments.benchmarks.loop import measure_loop
 from experiments.benchmarks.peers import measure_peers

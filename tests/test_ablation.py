@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small import TEAM
 
-from experiments import ablation, under_way
+from experiments import ablation, training, under_way
 from experiments.ablations.settings import ABLATIONS, Ablation, Setting
 from experiments.ablations.store import Store, digest
 from experiments.ablations.table import Line, to_markdown
@@ -144,15 +144,21 @@ def test_saves_of_one_ablation_leave_those_of_another_alone(tmp_path, capsys, mo
 def test_a_run_that_diverged_is_marked():
     spec = RunSpec(Method.SRL, 0, hyper_for(Method.SRL, Hyper()), episodes=3)
     run = Run(spec, 0, diverged=Divergence("action", 70, 0))
-    row = ablation._summary(FinishedRun(run, {}, np.zeros(())), [])
+    finished = FinishedRun(run, {}, np.zeros(()))
+    row = ablation._summary(training.Tested(finished, [], [], 1.0, "", {}, ""))
     assert (row["diverged"], row["episodes"], row["final_return_100"]) == (1, 3, -100.0)
     text = to_markdown("Title", "", [Line("tiny", "srl", [row])], np.random.default_rng(0))
     assert "| tiny | srl | 1 (1 diverged) |" in text
 
 
 def test_settings_of_one_program_are_trained_together(tmp_path, monkeypatch):
-    groups = []
-    monkeypatch.setattr(ablation, "_run_group", lambda group, *_: groups.append(set(group.missing)))
+    groups, batch = [], ablation._batch
+
+    def nothing_of(name, group, options):
+        groups.append(set(group.missing))
+        return batch(name, group._replace(missing={}), options)
+
+    monkeypatch.setattr(ablation, "_batch", nothing_of)
     assert _run(tmp_path, "all") == 0
     assert len(groups[0]) == max(map(len, groups)) > 20
     assert not set.intersection(*groups)

@@ -27,7 +27,7 @@ from hitl_jax.rollout import Rollout
         (
             ["--only", "speed"],
             "--only speed: must be some of learner, pool, loop, scaling, saves, walkers, live, "
-            "peers",
+            "launchers, peers",
         ),
         (["--only", "learner,speed"], "--only learner,speed: must be some of"),
         (["--only"], "--only"),

@@ -184,12 +184,12 @@ def test_a_second_start_skips_what_is_done_and_adds_seeds(swept, capsys):
 
 
 def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys, monkeypatch):
-    watch, evaluate, chunks = _Sweep._watch, Evaluator.evaluate, itertools.count(1)
+    show, evaluate, chunks = _Sweep._show, Evaluator.evaluate, itertools.count(1)
 
-    def stop_in_training(sweep, rollout):
+    def stop_in_training(sweep, running):
         if next(chunks) == 5:
             os.kill(os.getpid(), signal.SIGTERM)
-        watch(sweep, rollout)
+        show(sweep, running)
 
     def stop_in_a_test(*arguments):
         os.kill(os.getpid(), signal.SIGINT)
@@ -201,9 +201,9 @@ def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys,
             assert killed.poll() is None, killed.communicate()[1]
             time.sleep(0.05)
         killed.kill()
-    monkeypatch.setattr(seed_sweep, "_draw", lambda _: [])
+    monkeypatch.setattr(seed_sweep, "draw", lambda _: [])
     for owner, name, stop, code in (
-        (_Sweep, "_watch", stop_in_training, 143),
+        (_Sweep, "_show", stop_in_training, 143),
         (Evaluator, "evaluate", stop_in_a_test, 130),
     ):
         with pytest.MonkeyPatch.context() as patch:
