@@ -103,7 +103,7 @@ def _make_runs(names: list[str], options: AblationOptions, store: Store) -> int:
         _run(names, options, store)
     except Interrupted as stop:
         print(
-            f"\nStopped. Finished runs are in {store.path}; the same command makes the others.",
+            f"\nStopped. Finished runs are in {store.path}. {options.launch.goes_on}",
             flush=True,
         )
         code = stop.exit_code

@@ -9,7 +9,6 @@ from typing import TypeVar
 
 import tyro
 
-from experiments.launchers.on_ray import LaunchError
 from hitl_jax.envs import WalkerError
 from hitl_jax.files import ResultsError
 
@@ -18,6 +17,10 @@ T = TypeVar("T")
 
 class BadInput(Exception):
     """One line that names the option, the value and what is allowed."""
+
+
+class LaunchError(Exception):
+    """What went wrong on other machines, in one line."""
 
 
 def run_main(options: type[T], main: Callable[[T], int], args: Sequence[str] | None = None) -> int:

@@ -93,7 +93,8 @@ def _require_finished(folder: ResultsFolder, shard: Shard) -> None:
     Raises:
         ResultsError: naming one that is not.
     """
-    missing = [key for key in shard.runs() if key not in folder.finished()]
+    finished = folder.finished()
+    missing = [key for key in shard.runs() if key not in finished]
     if missing:
         raise ResultsError(
             f"{folder.path}: shard {shard.number}/{shard.of} lacks {len(missing)} of its "
@@ -120,7 +121,10 @@ def _require_whole(folders: Sequence[ResultsFolder], shards: Sequence[Shard]) ->
                 f"{seen[shard.number].path}"
             )
         seen[shard.number] = folder
-    if missing := [f"{n}/{first.of}" for n in range(1, first.of + 1) if n not in seen]:
+    wanted = (first._replace(number=number) for number in range(1, first.of + 1))
+    # Where there are more shards than runs, some have none, and no folder.
+    missing = [f"{one.number}/{one.of}" for one in wanted if one.number not in seen and one.runs()]
+    if missing:
         raise ResultsError(f"shards {', '.join(missing)}: missing")
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from experiments import judgements
-from experiments.cli import BadInput, checking_input, run_main
+from experiments.cli import BadInput, LaunchError, checking_input, run_main
 from experiments.compile_cache import keep_programs
 from experiments.launchers import Launcher
 from experiments.options import SweepOptions
@@ -116,10 +116,13 @@ class _Sweep:
             draw(self._folder)
             print(
                 f"\nStopped. Figures and tables of what there is: {self._options.out}. "
-                f"{launcher.goes_on}",
+                f"{self._options.launch.goes_on}",
                 flush=True,
             )
             return stop.exit_code
+        except LaunchError:
+            draw(self._folder)
+            raise
         except ResultsError as error:
             if not self._running:
                 raise  # Nothing has begun; what the error says is what is to be done.
@@ -149,9 +152,10 @@ class _Sweep:
 
     def _save_partial(self) -> None:
         """Writes, for the figures, the episodes of the runs that are not finished."""
+        finished = self._folder.finished()
         for run in self._running:
             key = run.spec.key
-            if run.episodes and key not in self._folder.finished():
+            if run.episodes and key not in finished:
                 self._folder.write_partial(key, to_columns(run.episodes, EPISODE_COLUMNS))
 
     def _stop_drawing(self) -> None:

@@ -1,14 +1,18 @@
 """How a sweep is divided among machines."""
 
+import asyncio
+
+import numpy as np
 import pytest
 
-from experiments import shards
-from experiments.launchers.on_ray import LaunchError, Places, divided, places_of
+from experiments import shards, training
+from experiments.cli import LaunchError
+from experiments.launchers.on_ray import Places, _Inbox, divided, places_of
 from experiments.shards import Shard
 from experiments.training import Batch, Plant
 from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.run_key import RunKey
-from hitl_jax.runs import LoopConfig, RunSpec
+from hitl_jax.runs import FinishedRun, LoopConfig, Run, RunSpec
 
 
 def _machine(cpus, gpus=0, alive=True):
@@ -19,18 +23,43 @@ def _machine(cpus, gpus=0, alive=True):
 @pytest.mark.parametrize(
     ("machines", "places"),
     [
-        ([_machine(2)], Places(1, 2, 0)),
-        ([_machine(0), _machine(4), _machine(4)], Places(2, 4, 0)),
-        ([_machine(4), _machine(4, alive=False)], Places(1, 4, 0)),
-        # A larger one takes as many groups as it has room for.
-        ([_machine(4), _machine(16)], Places(5, 4, 0)),
+        ([_machine(2)], Places(1, 2, 0, 0)),
+        ([_machine(0), _machine(4), _machine(4)], Places(2, 4, 0, 0)),
+        ([_machine(4), _machine(4, alive=False)], Places(1, 4, 0, 0)),
+        # A larger one takes as many groups as it has room for; for a small one none is made small.
+        ([_machine(4), _machine(4), _machine(16)], Places(6, 4, 0, 0)),
+        ([_machine(1), _machine(64), _machine(64)], Places(2, 64, 0, 1)),
         # Where there are GPUs, a group takes one, and its share of the cores.
-        ([_machine(16, gpus=4), _machine(8)], Places(4, 4, 1)),
-        ([_machine(16, gpus=4), _machine(8, gpus=8)], Places(12, 1, 1)),
+        ([_machine(16, gpus=4), _machine(8)], Places(4, 4, 1, 1)),
+        ([_machine(16, gpus=4), _machine(8, gpus=8)], Places(12, 1, 1, 0)),
+        # Unless nobody could feed them.
+        ([_machine(0, gpus=1), _machine(8)], Places(1, 8, 0, 0)),
+        ([_machine(2, gpus=4), _machine(64)], Places(1, 64, 0, 1)),
     ],
 )
 def test_a_group_takes_a_machine(machines, places):
     assert places_of(machines) == places
+
+
+def test_a_run_that_is_made_twice_comes_once():
+    def tested(key):
+        run = Run(RunSpec(Method.SRL, key.seed, None, 1), 0)
+        return training.Tested(FinishedRun(run, {}, np.zeros(())), [], [], 1.0, "", {}, "")
+
+    async def attempts():
+        inbox, keys = _Inbox(), [RunKey("srl", 0), RunKey("srl", 1)]
+        first = await inbox.begin(7, "a", keys)
+        await inbox.put(tested(keys[0]))
+        again = await inbox.begin(7, "b", keys)
+        for key in (keys[0], keys[1], keys[1]):
+            await inbox.put(tested(key))
+        assert (first.attempt, first.keys) == (1, keys)
+        assert (again.attempt, again.keys) == (2, keys[1:])
+        messages = await inbox.take(1.0)
+        assert [one.key for one in messages if isinstance(one, training.Tested)] == keys
+        assert await inbox.take(0.0) == []
+
+    asyncio.run(attempts())
 
 
 def test_a_cluster_without_cores_is_refused():

@@ -17,13 +17,7 @@ LAUNCHERS = ("local", "ray")
 
 
 class Launcher(Protocol):
-    """Makes batches of runs.
-
-    Attributes:
-        goes_on: what the same command does after it was stopped; a sentence.
-    """
-
-    goes_on: str
+    """Makes batches of runs."""
 
     def make(
         self, batches: Sequence[Batch], show: Callable[[Sequence[Run]], None]
@@ -65,6 +59,13 @@ class LaunchOptions:
             raise ValueError(f"--ray-address {self.ray_address}: needs --launcher ray")
         return self
 
+    @property
+    def goes_on(self) -> str:
+        """What the same command does after it was stopped."""
+        if self.launcher == "ray":
+            return "The same command makes the runs that are missing, each from its beginning."
+        return "The same command goes on where it was."
+
     @contextlib.contextmanager
     def ready(self) -> Iterator[None]:
         """Connects to the cluster, if one is asked for, and leaves it at the end.
@@ -92,5 +93,5 @@ class LaunchOptions:
             say: prints a line.
         """
         if self.launcher == "ray":
-            return OnRay(say)
+            return OnRay(folder, finished, say)
         return Local(folder, save_seconds, finished, say)

@@ -23,8 +23,6 @@ class Local:
         say: prints a line.
     """
 
-    goes_on = "The same command goes on where it was."
-
     def __init__(
         self,
         folder: pathlib.Path,

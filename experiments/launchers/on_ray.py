@@ -15,13 +15,16 @@ import math
 import os
 import pathlib
 import platform
+import socket
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from typing import Any, NamedTuple
 
+from experiments.cli import LaunchError
 from experiments.compile_cache import keep_programs
-from experiments.signals import deferred_interrupts
+from experiments.signals import Interrupted, deferred_interrupts
 from experiments.training import Batch, Tested, train_and_test
+from experiments.under_way import UnderWay
 from hitl_jax.envs import num_cores
 from hitl_jax.episodes import Row
 from hitl_jax.provenance import git_commit
@@ -34,10 +37,9 @@ _RETRIES = 20
 
 _REPORT_SECONDS = 10.0
 _WAIT_SECONDS = 1.0
-
-
-class LaunchError(RuntimeError):
-    """What went wrong on another machine, in one line."""
+_IDLE_SECONDS = 30.0
+_CONNECT_SECONDS = 10.0
+_UNUSED_SHARE = 0.25
 
 
 class Places(NamedTuple):
@@ -45,13 +47,15 @@ class Places(NamedTuple):
 
     Attributes:
         groups: at a time.
-        cpus: cores that each takes: all of the smallest machine.
-        gpus: GPUs that each takes: one, where the cluster has any.
+        cpus: cores that each takes.
+        gpus: GPUs that each takes: one, where a machine has any.
+        unused: machines that have no room for a group.
     """
 
     groups: int
     cpus: int
     gpus: int
+    unused: int
 
 
 class _Begun(NamedTuple):
@@ -59,18 +63,28 @@ class _Begun(NamedTuple):
 
     Attributes:
         group: its number.
+        attempt: how often the group has begun.
         machine: the name.
         keys: the runs that have not come yet.
     """
 
     group: int
+    attempt: int
     machine: str
     keys: list[RunKey]
 
 
 class _Seen(NamedTuple):
-    """How runs under way have gone on: by run, its new episodes and all its steps."""
+    """How the runs of a group have gone on.
 
+    Attributes:
+        group: its number.
+        attempt: whose runs they are.
+        runs: of each the new episodes, and all its steps.
+    """
+
+    group: int
+    attempt: int
     runs: list[tuple[RunKey, list[Row], int]]
 
 
@@ -78,16 +92,21 @@ _Message = _Begun | _Seen | Tested
 
 
 class OnRay:
-    """Groups of runs, each on the cores of one machine; to be used while `connected`.
+    """Groups of runs, each on cores of one machine; to be used while `connected`.
 
     Args:
+        folder: where `Local` would have saved what is under way.
+        finished: the runs that are kept.
         say: prints a line.
     """
 
-    goes_on = "The same command makes the runs that are missing, each from its beginning."
-
-    def __init__(self, say: Callable[[str], None]):
-        self._say = say
+    def __init__(
+        self,
+        folder: pathlib.Path,
+        finished: Callable[[], Collection[RunKey]],
+        say: Callable[[str], None],
+    ):
+        self._folder, self._finished, self._say = folder, finished, say
 
     def make(
         self, batches: Sequence[Batch], show: Callable[[Sequence[Run]], None]
@@ -95,72 +114,119 @@ class OnRay:
         """See `Launcher.make`.
 
         Raises:
-            LaunchError: if a group fails, or lost too many machines.
+            LaunchError: when all else is done, if groups failed or lost too many machines.
         """
         import ray
-        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
+        saves = [self._folder / batch.name for batch in batches if batch.specs]
+        if any(path.exists() for path in saves):
+            self._say(
+                "runs that --launcher local has saved begin anew here; it would go on with them"
+            )
         places = places_of(ray.nodes())
+        if places.unused:
+            self._say(f"{places.unused} machines of the cluster have no room for a group: not used")
         groups = divided(batches, places.groups)
-        if not groups:
-            return
-        num_runs = sum(len(group.specs) for group in groups)
-        self._say(
-            f"{num_runs} runs in {len(groups)} groups on a Ray cluster with room for "
-            f"{places.groups}, each of {places.cpus} cores" + " and a GPU" * places.gpus
-        )
-        here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
-        inbox = ray.remote(_Inbox).options(num_cpus=0, scheduling_strategy=here).remote()
-        remote = ray.remote(_make_group).options(
-            num_cpus=places.cpus,
-            num_gpus=places.gpus,
-            max_retries=_RETRIES,
-            runtime_env={"env_vars": {"JAX_NUM_CPU_DEVICES": str(places.cpus)}},
-        )
-        commit = git_commit() or "unknown"
-        tasks = [
-            remote.remote(number, _with_workers(group, places.cpus), commit, inbox)
-            for number, group in enumerate(groups)
-        ]
-        yield from self._delivered(groups, inbox, tasks, show)
+        if groups:
+            num_runs = sum(len(group.specs) for group in groups)
+            self._say(
+                f"{num_runs} runs in {len(groups)} groups on a Ray cluster with room for "
+                f"{places.groups}, each of {places.cpus} cores" + " and a GPU" * places.gpus
+            )
+            inbox, tasks = _submitted(groups, places)
+            yield from self._delivered(groups, inbox, tasks, show)
+        for batch in batches:
+            saved = UnderWay(self._folder / batch.name, batch.loop.frames)
+            saved.tidy(self._finished(), self._say)
 
     def _delivered(
         self,
         groups: Sequence[Batch],
         inbox: Any,
-        tasks: list[Any],
+        tasks: dict[Any, int],
         show: Callable[[Sequence[Run]], None],
     ) -> Generator[Tested]:
-        import ray
-
         specs = {spec.key: spec for group in groups for spec in group.specs}
         running: dict[RunKey, Run] = {}
-        begun: set[int] = set()
+        attempts: dict[int, int] = {}
+        failures: list[str] = []
+        stopped: Interrupted | None = None
+        idle_since = time.monotonic()
         with deferred_interrupts() as interrupted:
-            while specs:
-                messages = _got(inbox.take.remote(_WAIT_SECONDS))
-                for message in messages:
+            while True:
+                for message in _got(inbox.take.remote(0.0 if stopped else _WAIT_SECONDS)):
                     if isinstance(message, Tested):
                         running.pop(message.key, None)
                         del specs[message.key]
                         yield message
                     elif isinstance(message, _Begun):
-                        lost = "a machine was lost: " if message.group in begun else ""
+                        attempts[message.group] = message.attempt
+                        lost = "a machine was lost: " if message.attempt > 1 else ""
                         self._say(f"{lost}{message.machine} begins {len(message.keys)} runs")
-                        begun.add(message.group)
-                        running |= {key: Run(specs[key], 0) for key in message.keys}
-                    else:
+                        # One may have come after all, from a machine that was thought dead.
+                        keys = specs.keys() & set(message.keys)
+                        running |= {key: Run(specs[key], 0) for key in keys}
+                    elif message.attempt == attempts[message.group]:
                         for key, rows, env_steps in message.runs:
                             if key in running:
                                 running[key].episodes.extend(rows)
                                 running[key].env_steps = env_steps
+                if stopped:
+                    raise stopped
                 show(list(running.values()))
-                interrupted()
-                ended, tasks = ray.wait(tasks, num_returns=len(tasks), timeout=0)
-                for task in ended:
-                    _got(task)
-                if not tasks and not messages and specs:
-                    raise LaunchError(f"{len(specs)} runs were never delivered")
+                if not tasks or not specs:  # A task ends when the inbox has all its runs.
+                    break
+                try:
+                    interrupted()
+                except Interrupted as stop:
+                    stopped = stop  # What has come meanwhile is taken first.
+                for task in _ended(tasks):
+                    group = groups[tasks.pop(task)]
+                    try:
+                        _got(task)
+                    except LaunchError as error:
+                        failures.append(str(error))
+                        self._say(f"a group of {len(group.specs)} runs failed: {error}")
+                        for spec in group.specs:
+                            running.pop(spec.key, None)
+                if running or not tasks:
+                    idle_since = time.monotonic()
+                elif time.monotonic() - idle_since > _IDLE_SECONDS:
+                    idle_since = math.inf
+                    self._say("waiting for the cluster: no machine has room for a group yet")
+        if specs:
+            said = failures[0] if failures else "they were never delivered"
+            raise LaunchError(f"{len(specs)} runs are missing: {said}")
+
+
+def _submitted(groups: Sequence[Batch], places: Places) -> tuple[Any, dict[Any, int]]:
+    """Hands groups to Ray; the inbox, and the number of each task's group."""
+    import ray
+    from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+    here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
+    inbox = ray.remote(_Inbox).options(num_cpus=0, scheduling_strategy=here).remote()
+    devices = os.environ.get("JAX_NUM_CPU_DEVICES", str(places.cpus))
+    # A process for each group, so that none keeps programs and memory of the group before.
+    remote = ray.remote(max_calls=1)(_make_group).options(
+        num_cpus=places.cpus,
+        num_gpus=places.gpus,
+        max_retries=_RETRIES,
+        runtime_env={"env_vars": {"JAX_NUM_CPU_DEVICES": devices}},
+    )
+    commit = git_commit() or "unknown"
+    tasks = {
+        remote.remote(number, _with_workers(group, places.cpus), commit, inbox): number
+        for number, group in enumerate(groups)
+    }
+    return inbox, tasks
+
+
+def _ended(tasks: Collection[Any]) -> list[Any]:
+    import ray
+
+    ended: list[Any] = ray.wait(list(tasks), num_returns=len(tasks), timeout=0)[0]
+    return ended
 
 
 @contextlib.contextmanager
@@ -187,6 +253,7 @@ def connected(address: str | None) -> Iterator[None]:
             "include_dashboard": False,
         }
     else:
+        _require_there(address)
         # Machines need what we depend on, and get our own code from here.
         packages = ("hitl_jax", "experiments")
         folders = [
@@ -197,16 +264,30 @@ def connected(address: str | None) -> Iterator[None]:
     try:
         ray.init(logging_level=logging.ERROR, **options)
     except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
-        said = str(error).strip().splitlines()[0]
-        raise ValueError(f"--ray-address {address}: no cluster: {said}") from error
+        asked = "--launcher ray" if address is None else f"--ray-address {address}"
+        raise ValueError(f"{asked}: no cluster: {_first_line(error)}") from error
     try:
         yield
     finally:
         ray.shutdown()
 
 
+def _require_there(address: str) -> None:
+    """Refuses an address where nobody listens: Ray would try for minutes, and end the process."""
+    host, _, port = address.rpartition(":")
+    if port.isdecimal() and "/" not in host:
+        try:
+            socket.create_connection((host, int(port)), timeout=_CONNECT_SECONDS).close()
+        except (OSError, OverflowError) as error:
+            raise ValueError(f"--ray-address {address}: no cluster: {error}") from error
+
+
 def places_of(nodes: Sequence[dict[str, Any]]) -> Places:
     """How many groups of runs the machines of a cluster can make at a time.
+
+    Where there are GPUs, a group takes one, and a machine's cores are shared by its GPUs. Elsewhere
+    groups are as large as leaves no more than a quarter of all cores unused: a small machine
+    among large ones is not worth small groups.
 
     Args:
         nodes: of `ray.nodes()`.
@@ -215,16 +296,19 @@ def places_of(nodes: Sequence[dict[str, Any]]) -> Places:
         LaunchError: if no machine has a core.
     """
     has = [node["Resources"] for node in nodes if node["Alive"]]
-    gpus = int(any(resources.get("GPU", 0) >= 1 for resources in has))
-    rooms = [
-        (int(resources.get("CPU", 0)), int(resources.get("GPU", 0)) if gpus else 1)
-        for resources in has
-    ]
-    rooms = [(cpus, groups) for cpus, groups in rooms if cpus >= groups >= 1]
+    rooms = [(int(one.get("CPU", 0)), int(one.get("GPU", 0))) for one in has]
+    rooms = [(cpus, gpus) for cpus, gpus in rooms if cpus >= 1]
     if not rooms:
         raise LaunchError("the Ray cluster has no machine with a core for us")
-    cpus = min(cores // groups for cores, groups in rooms)
-    return Places(sum(groups if gpus else cores // cpus for cores, groups in rooms), cpus, gpus)
+    with_gpus = [(cpus, gpus) for cpus, gpus in rooms if cpus >= gpus >= 1]
+    if with_gpus:
+        cpus = min(cpus // gpus for cpus, gpus in with_gpus)
+        groups = sum(gpus for _, gpus in with_gpus)
+        return Places(groups, cpus, 1, len(rooms) - len(with_gpus))
+    sizes = [cpus for cpus, _ in rooms]
+    used = {size: sum(cpus // size for cpus in sizes) * size for size in sizes}
+    size = max(size for size in sizes if used[size] >= (1 - _UNUSED_SHARE) * sum(sizes))
+    return Places(used[size] // size, size, 0, sum(cpus < size for cpus in sizes))
 
 
 def divided(batches: Sequence[Batch], places: int) -> list[Batch]:
@@ -258,10 +342,16 @@ class _Inbox:
     def __init__(self) -> None:
         self._messages: list[_Message] = []
         self._came: set[RunKey] = set()
+        self._attempts: dict[int, int] = {}
         self._filled = asyncio.Event()
 
-    async def missing(self, keys: Sequence[RunKey]) -> list[RunKey]:
-        return [key for key in keys if key not in self._came]
+    async def begin(self, group: int, machine: str, keys: Sequence[RunKey]) -> _Begun:
+        """Notes that a machine begins with a group; which attempt it is, and what is missing."""
+        self._attempts[group] = self._attempts.get(group, 0) + 1
+        missing = [key for key in keys if key not in self._came]
+        begun = _Begun(group, self._attempts[group], machine, missing)
+        await self.put(begun)
+        return begun
 
     async def put(self, message: _Message) -> None:
         """Keeps a message; of a run that is made twice, as by a machine thought dead, the first."""
@@ -282,11 +372,16 @@ class _Inbox:
 
 
 def _make_group(number: int, batch: Batch, commit: str, inbox: Any) -> None:
-    """What a machine does: makes the runs of a group that have not come, and delivers each."""
+    """What a machine does: makes the runs of a group that have not come, and delivers each.
+
+    Raises:
+        LaunchError: naming the machine, if that fails.
+    """
+    machine = platform.node()
     keep_programs()
-    keys = _got(inbox.missing.remote([spec.key for spec in batch.specs]))
-    _got(inbox.put.remote(_Begun(number, platform.node(), keys)))
-    batch = batch._replace(specs=[spec for spec in batch.specs if spec.key in set(keys)])
+    begun = _got(inbox.begin.remote(number, machine, [spec.key for spec in batch.specs]))
+    keys = set(begun.keys)
+    batch = batch._replace(specs=[spec for spec in batch.specs if spec.key in keys])
     if not batch.specs:
         return
     told: dict[RunKey, int] = {}
@@ -296,13 +391,22 @@ def _make_group(number: int, batch: Batch, commit: str, inbox: Any) -> None:
         nonlocal told_at
         if time.monotonic() - told_at >= _REPORT_SECONDS:
             told_at = time.monotonic()
-            inbox.put.remote(_Seen([_news(run, told) for run in rollout.runs()]))
+            news = [_news(run, told) for run in rollout.runs()]
+            inbox.put.remote(_Seen(number, begun.attempt, news))
 
-    with contextlib.closing(train_and_test(batch, watch)) as made:
-        for tested in made:
-            run = dataclasses.replace(tested.finished.run, snapshots=[])
-            finished = dataclasses.replace(tested.finished, run=run)
-            _got(inbox.put.remote(tested._replace(finished=finished, commit=commit)))
+    try:
+        with contextlib.closing(train_and_test(batch, watch)) as made:
+            for tested in made:
+                run = dataclasses.replace(tested.finished.run, snapshots=[])
+                finished = dataclasses.replace(tested.finished, run=run)
+                _got(inbox.put.remote(tested._replace(finished=finished, commit=commit)))
+    except Interrupted:
+        # A signal to this process: its machine is going. Ray takes a process that dies for that,
+        # and an exception for an answer.
+        os._exit(1)
+    except Exception as error:
+        notes = "; ".join(getattr(error, "__notes__", []))
+        raise LaunchError(f"{machine}: {_first_line(error)} {notes}".strip()) from error
 
 
 def _news(run: Run, told: dict[RunKey, int]) -> tuple[RunKey, list[Row], int]:
@@ -325,5 +429,8 @@ def _got(reference: Any) -> Any:
         return ray.get(reference)
     except ray.exceptions.RayError as error:
         cause = getattr(error, "cause", None) or error
-        said = str(cause).strip().splitlines() or [type(cause).__name__]
-        raise LaunchError(f"on the Ray cluster: {said[0]}") from error
+        raise LaunchError(_first_line(cause)) from error
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
