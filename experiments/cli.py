@@ -50,6 +50,11 @@ def run_main(options: type[T], main: Callable[[T], int], args: Sequence[str] | N
         return 130
 
 
+def first_line(error: BaseException) -> str:
+    """What an error says first; its type, if it says nothing."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
 @contextlib.contextmanager
 def checking_input() -> Iterator[None]:
     """Turns what the library says of a bad value into BadInput; only for checks, not for work."""

@@ -7,7 +7,8 @@ import pytest
 
 from experiments import shards, training
 from experiments.cli import LaunchError
-from experiments.launchers.on_ray import Places, _Inbox, divided, places_of
+from experiments.launchers.cluster import Places, divided, places_of
+from experiments.launchers.machine import Inbox
 from experiments.shards import Shard
 from experiments.training import Batch, Plant
 from hitl_jax.config import Hyper, Method, hyper_for
@@ -47,7 +48,7 @@ def test_a_run_that_is_made_twice_comes_once():
         return training.Tested(FinishedRun(run, {}, np.zeros(())), [], [], 1.0, "", {}, "")
 
     async def attempts():
-        inbox, keys = _Inbox(), [RunKey("srl", 0), RunKey("srl", 1)]
+        inbox, keys = Inbox(), [RunKey("srl", 0), RunKey("srl", 1)]
         first = await inbox.begin(7, "a", keys)
         await inbox.put(tested(keys[0]))
         again = await inbox.begin(7, "b", keys)

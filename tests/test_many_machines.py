@@ -212,7 +212,7 @@ def test_a_machine_that_is_lost_gives_its_runs_back(cluster, whole, tmp_path):
 def _makers():
     """Processes that make groups of runs: Ray names them by what they do."""
     names = {path: path.read_bytes() for path in pathlib.Path("/proc").glob("[0-9]*/cmdline")}
-    return [int(path.parent.name) for path, name in names.items() if b"ray::_make_group" in name]
+    return [int(path.parent.name) for path, name in names.items() if b"ray::make_group" in name]
 
 
 def test_ctrl_c_leaves_the_cluster(cluster, tmp_path):

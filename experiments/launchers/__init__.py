@@ -6,8 +6,9 @@ import pathlib
 from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from typing import Protocol
 
+from experiments.launchers.cluster import connected
 from experiments.launchers.local import Local
-from experiments.launchers.on_ray import OnRay, connected
+from experiments.launchers.on_ray import OnRay
 from experiments.training import Batch, Tested
 from hitl_jax.config import one_of
 from hitl_jax.run_key import RunKey
