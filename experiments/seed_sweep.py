@@ -135,6 +135,8 @@ class _Sweep:
 
     def _make(self, launcher: Launcher) -> None:
         """Trains, tests and writes every run."""
+        if self._batch.specs:
+            self._progress.say(f"results: {self._options.out}")
         try:
             with (
                 self._progress if self._batch.specs else contextlib.nullcontext(),
