@@ -1,8 +1,10 @@
 """One folder of the shards of a sweep: `python -m experiments.merge FOLDER...`.
 
-python -m experiments.seed_sweep --shard 1/2 --out runs/part-1
-python -m experiments.seed_sweep --shard 2/2 --out runs/part-2
-python -m experiments.merge runs/part-1 runs/part-2 --out runs/sweep
+    python -m experiments.seed_sweep --shard 1/2 --out runs/part-1
+    python -m experiments.seed_sweep --shard 2/2 --out runs/part-2
+    python -m experiments.merge runs/part-1 runs/part-2 --out runs/sweep
+
+A shard that is missing, there twice, unfinished or of another sweep is named.
 """
 
 import contextlib
@@ -17,8 +19,9 @@ from experiments import judgements
 from experiments.cli import BadInput, checking_input, run_main
 from experiments.seed_sweep import draw
 from experiments.shards import Shard
+from hitl_jax.differences import require_same
 from hitl_jax.files import ResultsError, locked
-from hitl_jax.results import ResultsFolder, require_same
+from hitl_jax.results import ResultsFolder
 
 
 @dataclasses.dataclass(frozen=True)

@@ -23,10 +23,11 @@ from experiments.tuning import TuningOptions
 from experiments.tuning import table as tuning_table
 from hitl_jax import stats
 from hitl_jax.config import Method
+from hitl_jax.differences import flatten
 from hitl_jax.figures import draw_all
 from hitl_jax.files import ResultsError, write_text_atomic
 from hitl_jax.provenance import short_commit
-from hitl_jax.results import ResultsFolder, Run, flatten
+from hitl_jax.results import ResultsFolder, Run
 from hitl_jax.summary import write_summary
 
 _STARTS = "initial-boundary"

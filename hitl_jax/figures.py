@@ -16,6 +16,7 @@ from matplotlib.lines import Line2D
 
 from hitl_jax import stats
 from hitl_jax.curves import Curve, over_episodes, over_seeds, over_steps
+from hitl_jax.differences import flatten
 from hitl_jax.figure_parts import (
     COLOURS,
     COLUMN,
@@ -31,7 +32,7 @@ from hitl_jax.figure_parts import (
     paper_style,
     save,
 )
-from hitl_jax.results import ResultsFolder, flatten
+from hitl_jax.results import ResultsFolder
 from hitl_jax.summary import skill_over_training
 from hitl_jax.tables import METHODS, Table, select
 

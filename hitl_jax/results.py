@@ -29,6 +29,7 @@ from typing import Any
 
 import numpy as np
 
+from hitl_jax.differences import changes, require_same
 from hitl_jax.files import (
     LOCK,
     TEMPORARY,
@@ -55,12 +56,7 @@ FORMAT = 1
 RUN_INFO = ("config", "versions", "commit", "wall_seconds", "env_steps", "updates")
 """What the caller of `save_run` tells about a run."""
 
-_MAX_DIFFERENCES = 5
 _NONE: dict[str, Any] = {name: [] for name in PROGRESS_COLUMNS}
-
-
-class ConfigMismatch(ResultsError):
-    """A results folder that was made with another config."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,7 +132,7 @@ class ResultsFolder:
                 require_same(self.path, self.load_config(), config)
                 require_same(self.path, {"shard": self.load_shard()}, {"shard": shard})
                 remove_leftovers(self.path)
-                return _changes(_read_json(self.path / "config.json", ()), provenance)
+                return changes(_read_json(self.path / "config.json", ()), provenance)
             ours = (TEMPORARY, LOCK)
             foreign = [p.name for p in self.path.iterdir() if not p.name.startswith(ours)]
             if foreign:
@@ -332,52 +328,6 @@ class ResultsFolder:
 
     def _partial_path(self, key: RunKey) -> pathlib.Path:
         return self.path / "partial" / f"{key.file_name}.csv"
-
-
-def flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """A nested dict as one level, with dots in the keys; an empty dict is a value."""
-    flat: dict[str, Any] = {}
-    for name, value in tree.items():
-        if isinstance(value, dict) and value:
-            flat |= flatten(value, f"{prefix}{name}.")
-        else:
-            flat[prefix + name] = value
-    return flat
-
-
-def require_same(path: pathlib.Path, has: dict[str, Any], asked: dict[str, Any]) -> None:
-    """Makes sure that a folder was made with what is asked for.
-
-    Args:
-        path: the folder.
-        has: what it was made with, a nested dict of what JSON can hold.
-        asked: what is asked for.
-
-    Raises:
-        ConfigMismatch: naming the first differences.
-    """
-    old, new, nothing = flatten(has), flatten(asked), object()
-    keys = [k for k in old | new if old.get(k, nothing) != new.get(k, nothing)]
-    if not keys:
-        return
-    lines = [
-        f"{k}: folder has {json.dumps(old[k]) if k in old else 'nothing'}, "
-        f"asked for {json.dumps(new[k]) if k in new else 'nothing'}"
-        for k in sorted(keys)
-    ]
-    more = [f"and {len(lines) - _MAX_DIFFERENCES} more"] * (len(lines) > _MAX_DIFFERENCES)
-    shown = "; ".join(lines[:_MAX_DIFFERENCES] + more)
-    raise ConfigMismatch(f"{path}: made with another config: {shown}")
-
-
-def _changes(document: dict[str, Any], provenance: dict[str, Any]) -> list[str]:
-    """Differences of commit and versions, a few words each."""
-    old, new = (
-        {"commit": source.get("commit"), **source.get("versions", {})}
-        for source in (document, provenance)
-    )
-    names = [name for name in old | new if old.get(name) != new.get(name)]
-    return [f"{name} {old.get(name)}, now {new.get(name)}" for name in names]
 
 
 def _to_json(document: dict[str, Any]) -> str:

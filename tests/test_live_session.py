@@ -14,8 +14,9 @@ from hitl_jax.envs import WalkerError
 from hitl_jax.files import ResultsError
 from hitl_jax.live import commands, journal, person
 from hitl_jax.live.labels import Label, judged, moved
+from hitl_jax.live.plant import Plant
 from hitl_jax.live.session import Session
-from hitl_jax.runs import LoopConfig
+from hitl_jax.runs import LoopConfig, episode_seed
 
 
 def _play(session, until):
@@ -434,6 +435,9 @@ def test_a_session_begins_with_networks_that_were_learned(silent):
         "boundary": tau,
     }
     tested = Session(setup_of(start=start, learns=False))
+    # The first episode of the sweep's test.
+    first = Plant().reset(episode_seed("test", 0, 0))
+    np.testing.assert_array_equal(tested.frame.observation, first)
     assert tested.frame.boundary == pytest.approx(float(tau))
     _play(tested, 32)
     other = dataclasses.replace(tested.setup.agent.config, hidden_sizes=(8,))

@@ -11,8 +11,9 @@ import pandas as pd
 import pytest
 
 from hitl_jax import files, provenance, results
+from hitl_jax.differences import ConfigMismatch
 from hitl_jax.files import ResultsError, write_text_atomic
-from hitl_jax.results import ConfigMismatch, ResultsFolder
+from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey
 from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
 

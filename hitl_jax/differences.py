@@ -1,0 +1,59 @@
+"""How what a results folder was made with differs from what is asked for."""
+
+import json
+import pathlib
+from typing import Any
+
+from hitl_jax.files import ResultsError
+
+_MAX_DIFFERENCES = 5
+
+
+class ConfigMismatch(ResultsError):
+    """A results folder that was made with another config."""
+
+
+def flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A nested dict as one level, with dots in the keys; an empty dict is a value."""
+    flat: dict[str, Any] = {}
+    for name, value in tree.items():
+        if isinstance(value, dict) and value:
+            flat |= flatten(value, f"{prefix}{name}.")
+        else:
+            flat[prefix + name] = value
+    return flat
+
+
+def require_same(path: pathlib.Path, has: dict[str, Any], asked: dict[str, Any]) -> None:
+    """Makes sure that a folder was made with what is asked for.
+
+    Args:
+        path: the folder.
+        has: what it was made with, a nested dict of what JSON can hold.
+        asked: what is asked for.
+
+    Raises:
+        ConfigMismatch: naming the first differences.
+    """
+    old, new, nothing = flatten(has), flatten(asked), object()
+    keys = [k for k in old | new if old.get(k, nothing) != new.get(k, nothing)]
+    if not keys:
+        return
+    lines = [
+        f"{k}: folder has {json.dumps(old[k]) if k in old else 'nothing'}, "
+        f"asked for {json.dumps(new[k]) if k in new else 'nothing'}"
+        for k in sorted(keys)
+    ]
+    more = [f"and {len(lines) - _MAX_DIFFERENCES} more"] * (len(lines) > _MAX_DIFFERENCES)
+    shown = "; ".join(lines[:_MAX_DIFFERENCES] + more)
+    raise ConfigMismatch(f"{path}: made with another config: {shown}")
+
+
+def changes(document: dict[str, Any], provenance: dict[str, Any]) -> list[str]:
+    """Differences of commit and versions between what made a folder and now, a few words each."""
+    old, new = (
+        {"commit": source.get("commit"), **source.get("versions", {})}
+        for source in (document, provenance)
+    )
+    names = [name for name in old | new if old.get(name) != new.get(name)]
+    return [f"{name} {old.get(name)}, now {new.get(name)}" for name in names]
