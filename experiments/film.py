@@ -70,7 +70,7 @@ def _play_ours(seed: int, actions: np.ndarray, pictures: bool) -> Steps:
     with JaxPool(1, 1) as pool:
         seeds = np.array([seed], np.uint32)
         before = pool.step(np.array([Command.RESET]), np.zeros((1, 4)), seeds).observation[0]
-        stage = Stage(np.asarray(pool.walker(0).heights)) if pictures else None
+        stage = Stage(pool.walker(0).terrain) if pictures else None
         for action in actions:
             picture = stage.picture(pool.walker(0)) if stage else None
             after = pool.step(np.array([Command.STEP]), action[None], seeds)

@@ -7,27 +7,30 @@ from typing import Any
 import numpy as np
 
 from hitl_jax.walker import Walker, parts
+from hitl_jax.walker.boxes import Boxes
+from hitl_jax.walker.terrain import Terrain
 
 _GRASS, _EARTH = ((76, 255, 76), (76, 204, 76)), (102, 153, 76)
+_STONE = (255, 255, 255), (153, 153, 153)
 
 
 class Stage(parts.official.BipedalWalker):
     """Gymnasium's walker on given ground, never stepped after its reset."""
 
-    def __init__(self, heights: np.ndarray):
+    def __init__(self, terrain: Terrain):
         """Builds ground and bodies.
 
         Args:
-            heights: of the ground [200] [m].
+            terrain: the ground, leaves [200].
         """
         super().__init__(render_mode="rgb_array")
-        self._heights = heights
+        self._ground = terrain
         self.reset(seed=0)
 
     def _generate_terrain(self, hardcore: bool) -> None:
         self.terrain, self.terrain_poly = [], []
-        corners = zip(parts.CORNER_X.tolist(), self._heights.tolist(), strict=True)
-        self.terrain_x, self.terrain_y = parts.CORNER_X.tolist(), self._heights.tolist()
+        self.terrain_x, self.terrain_y = parts.CORNER_X.tolist(), self._ground.heights.tolist()
+        corners = zip(self.terrain_x, self.terrain_y, strict=True)
         for place, (left, right) in enumerate(itertools.pairwise(corners)):
             self.fd_edge.shape.vertices = [left, right]
             edge = self.world.CreateStaticBody(fixtures=self.fd_edge)
@@ -35,6 +38,22 @@ class Stage(parts.official.BipedalWalker):
             self.terrain.append(edge)
             below = [(right[0], 0), (left[0], 0)]
             self.terrain_poly.append(([left, right, *below], _EARTH))
+        if self._ground.boxes is not None:
+            self._build(self._ground.boxes)
+
+    def _build(self, boxes: Boxes) -> None:
+        sides = (boxes.low.x, boxes.low.y, boxes.high.x, boxes.high.y)
+        for left, low, right, high in set(zip(*(side.tolist() for side in sides), strict=True)):
+            if left < right:
+                self.fd_polygon.shape.vertices = [
+                    (left, low),
+                    (right, low),
+                    (right, high),
+                    (left, high),
+                ]
+                box = self.world.CreateStaticBody(fixtures=self.fd_polygon)
+                box.color1, box.color2 = _STONE
+                self.terrain.append(box)
 
     def picture(self, walker: Walker) -> Any:
         """RGB bytes [H, W, 3].

@@ -11,9 +11,21 @@ import ptx_machine
 import pytest
 
 from hitl_jax.envs import WALKER
-from hitl_jax.walker import copying, grips, ground, hinges, impact, kernel, parts, touch, world
+from hitl_jax.walker import (
+    copying,
+    grips,
+    ground,
+    hinges,
+    impact,
+    kernel,
+    parts,
+    terrain,
+    touch,
+    world,
+)
 from hitl_jax.walker.plane import Speeds, Vec, pose
 from hitl_jax.walker.rarely import where_needed
+from hitl_jax.walker.terrain import Terrain
 from hitl_jax.walker.thread import cosine, sine
 
 pytestmark = pytest.mark.usefixtures("compiled_in_haste")
@@ -32,7 +44,7 @@ def now():
         for _ in range(45):
             env.step(rng.uniform(-1, 1, 4).astype(np.float32))
         worlds.append(copying.world_of(env))
-        heights.append(copying.heights_of(env))
+        heights.append(copying.terrain_of(env).heights)
     before = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *worlds)
     return before, *jax.jit(_prepared)(before, np.stack(heights, axis=-1))
 
@@ -40,12 +52,12 @@ def now():
 def _prepared(before, heights):
     bodies = pose(before.place, before.angle)
     legs = world.legs_of(bodies)
-    edges = ground.edges_of_parts(heights, world.legs_left(legs))
-    manifold = touch.forward(touch.touch(legs, edges))
+    near = ground.near_parts(Terrain(heights), world.legs_left(legs))
+    manifold = touch.forward(near.touch(legs))
     contacts = touch.remember(before.contacts, manifold)
     speed = jnp.asarray(parts.SPEEDS[:, None], jnp.float32) * jnp.ones((4, _WALKERS))
     hinge = hinges.prepare(bodies, before.angle, speed, parts.TORQUE * jnp.ones_like(speed))
-    return edges, manifold, contacts, hinge, grips.prepare(manifold, legs)
+    return near, manifold, contacts, hinge, grips.prepare(manifold, legs)
 
 
 def _agree(function, args, num_parts=None, tolerance=2e-5):
@@ -88,7 +100,7 @@ def test_position_rounds(now):
 
 
 def test_impacts_have_a_thread_for_each_part(now):
-    before, edges, _, contacts, _, _ = now
+    before, near, _, contacts, _, _ = now
     start = Vec(before.place.x[1:], before.place.y[1:])
     end = Vec(start.x + 0.02, start.y - 0.1)
     moved = impact.Moved(
@@ -98,16 +110,16 @@ def test_impacts_have_a_thread_for_each_part(now):
         contacts=contacts,
         feet=before.feet,
     )
-    assert (jax.jit(impact.land)(moved, edges).done > 0).any()
+    assert (jax.jit(impact.land)(moved, near).done > 0).any()
     needed = jnp.arange(4 * _WALKERS).reshape(4, _WALKERS) % 2 == 0
     work = functools.partial(where_needed, impact.land)
-    _agree(work, (needed, moved, edges), num_parts=4)
+    _agree(work, (needed, moved, near), num_parts=4)
 
 
 def test_terrain(now):
     pushes = np.linspace(-0.03, 0.03, 200 * _WALKERS, dtype=np.float32).reshape(200, _WALKERS)
     stretches = np.arange(200 * _WALKERS, dtype=np.int32).reshape(200, _WALKERS) % 5 + 5
-    _agree(ground._profile, (pushes, stretches))
+    _agree(terrain._profile, (pushes, stretches))
 
 
 def test_sine_and_cosine_are_as_good_as_float32():

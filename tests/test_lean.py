@@ -6,14 +6,14 @@ import warnings
 import numpy as np
 import pytest
 
-from hitl_jax.envs import LEAN_WALKERS, Command, StepBatch, make_pool
+from hitl_jax.envs import OUR_WALKERS, Command, StepBatch, make_pool
 
 with warnings.catch_warnings():
     # SWIG's types warn as Box2D is first imported; as an error that ends the process.
     warnings.simplefilter("ignore")
     from gymnasium.envs.box2d.bipedal_walker import BipedalWalkerHeuristics
 
-WALKER, HARDCORE = LEAN_WALKERS
+WALKER, HARDCORE = OUR_WALKERS
 RESULTS = pathlib.Path(__file__).parents[1] / "results"
 
 

@@ -23,11 +23,11 @@ _FIRST_SEED = 1_000_000
 """Of reset seeds, apart from those of tests and training."""
 
 
-def measure_scripted(episodes: int) -> list[Row]:
+def measure_scripted(episodes: int, env_id: str) -> list[Row]:
     """The distributions of the scripted walker's return over episodes of their own."""
     returns = []
     for backend in (THERE, HERE):
-        with make_pool(backend, min(_WALKERS, episodes)) as pool:
+        with make_pool(backend, min(_WALKERS, episodes), env_id=env_id) as pool:
             returns.append(_scripted_returns(pool, episodes))
     there, here = returns
     rng = np.random.default_rng(stats.SEED)

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.benchmarks.timing import Row
-from hitl_jax.envs import WALKER
 from hitl_jax.walker import Walker, copying, hinges, parts, step
+from hitl_jax.walker.touch import BEHIND_EDGES
 from hitl_jax.walker.world import World
 
 _KINDS = ("scripted", "scripted with noise", "random")
@@ -43,14 +43,16 @@ class _Seen(NamedTuple):
     terminated: bool
 
 
-def measure_step(seed: int) -> list[Row]:
+def measure_step(seed: int, env_id: str) -> list[Row]:
     """Errors of the observation after one step from equal states."""
-    seen = list(_steps(np.random.default_rng(seed)))
+    seen = list(_steps(np.random.default_rng(seed), env_id))
     walkers = _stacked([one.walker for one in seen])
     actions = jnp.asarray(np.stack([one.action for one in seen]))
     found = _observations(walkers, actions)
     error = np.abs(found - np.stack([one.observation for one in seen]))
-    touching = np.asarray(walkers.world.contacts.touching).any((1, 2))
+    contacts = walkers.world.contacts
+    touching = np.asarray(contacts.touching).any((1, 2))
+    boxed = np.asarray(contacts.touching & (contacts.edge >= BEHIND_EDGES)).any((1, 2))
     bend = np.asarray(hinges.angles(jnp.moveaxis(walkers.world.angle, 0, -1)))
     limit = ((bend <= parts.LOWER[:, None]) | (bend >= parts.UPPER[:, None])).any(0)
     first, last = (np.array([one[i] for one in seen]) for i in (3, 4))
@@ -59,6 +61,7 @@ def measure_step(seed: int) -> list[Row]:
         ("in the air", ~touching & ~first & ~last, 1e-4),
         ("in contact", touching & ~first & ~last, 1e-3),
         ("at the stop of a joint", limit & ~first & ~last, None),
+        ("on a stump, a stair or a pit's wall", boxed & ~first & ~last, None),
         ("first five steps of an episode", first, None),
         ("last step of an episode that ends by a fall", last, None),
         ("all", np.ones(len(seen), bool), None),
@@ -72,12 +75,12 @@ def measure_step(seed: int) -> list[Row]:
     return rows
 
 
-def measure_rollout(seed: int) -> list[Row]:
+def measure_rollout(seed: int, env_id: str) -> list[Row]:
     """Errors of the observation after equal actions from equal states."""
     rng = np.random.default_rng(seed)
     rows = []
     for name, before in (("from the reset", 0), ("from step 50", 50)):
-        starts, actions, observations = _rollouts(rng, before)
+        starts, actions, observations = _rollouts(rng, before, env_id)
         found = _played(starts, actions)
         nudged = dataclasses.replace(starts, world=_nudged(starts.world))
         apart = np.abs(_played(nudged, actions) - found)
@@ -100,9 +103,9 @@ def _quantiles(error: np.ndarray) -> Row:
     return {name: float(f"{value:.1e}") for name, value in zip(names, values, strict=True)}
 
 
-def _steps(rng: np.random.Generator) -> Iterator[_Seen]:
+def _steps(rng: np.random.Generator, env_id: str) -> Iterator[_Seen]:
     """Steps of gymnasium's walker, of several kinds of players."""
-    env: Any = gymnasium.make(WALKER, disable_env_checker=True).unwrapped
+    env: Any = gymnasium.make(env_id, disable_env_checker=True).unwrapped
     for episode in range(_EPISODES):
         observation, _ = env.reset(seed=int(rng.integers(2**31)))
         act = _player(_KINDS[episode % len(_KINDS)], rng)
@@ -117,10 +120,12 @@ def _steps(rng: np.random.Generator) -> Iterator[_Seen]:
                 break
 
 
-def _rollouts(rng: np.random.Generator, before: int) -> tuple[Walker, jax.Array, np.ndarray]:
+def _rollouts(
+    rng: np.random.Generator, before: int, env_id: str
+) -> tuple[Walker, jax.Array, np.ndarray]:
     """Starts [N, ...], actions [T, N, 4], observations [T, N, 24] of walkers that do not fall."""
     steps = 200
-    env: Any = gymnasium.make(WALKER, disable_env_checker=True).unwrapped
+    env: Any = gymnasium.make(env_id, disable_env_checker=True).unwrapped
     starts: list[Walker] = []
     actions, observations = [], []
     while len(starts) < 32:
@@ -166,7 +171,7 @@ def copied(env: Any) -> Walker:
         env: gymnasium's `BipedalWalker`, after its reset.
     """
     world = jax.tree.map(lambda leaf: np.asarray(leaf)[..., 0], copying.world_of(env))
-    return Walker(world, copying.heights_of(env), np.float32(0), np.int32(0))  # type: ignore[arg-type]
+    return Walker(world, copying.terrain_of(env), np.float32(0), np.int32(0))  # type: ignore[arg-type]
 
 
 def _stacked(walkers: list[Walker]) -> Walker:

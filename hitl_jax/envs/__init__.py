@@ -9,11 +9,14 @@ from hitl_jax.envs.base import Command, StepBatch, WalkerError, WalkerPool
 
 BACKENDS = ("lean", "gymnasium", "envpool", "jax")
 WALKER = "BipedalWalker-v3"
-LEAN_WALKERS = (WALKER, "BipedalWalkerHardcore-v3")
+HARDCORE_WALKER = "BipedalWalkerHardcore-v3"
+OUR_WALKERS = (WALKER, HARDCORE_WALKER)
+"""What backends `lean` and `jax` play."""
 
 __all__ = [
     "BACKENDS",
-    "LEAN_WALKERS",
+    "HARDCORE_WALKER",
+    "OUR_WALKERS",
     "WALKER",
     "Command",
     "StepBatch",
@@ -36,9 +39,9 @@ def make_pool(
 
     Args:
         backend: `gymnasium` (the official environment in worker processes; episodes are seeded),
-            `lean` (equal to it bit for bit, in half the time; for the walkers of `LEAN_WALKERS`
-            only), `envpool` (its Box2D is another version and episodes cannot be seeded) or `jax`
-            (`hitl_jax.walker`, which agrees with it up to rounding; plain terrain only).
+            `lean` (equal to it bit for bit, in half the time), `envpool` (its Box2D is another
+            version and episodes cannot be seeded) or `jax` (`hitl_jax.walker`, which agrees with it
+            up to rounding). `lean` and `jax` play `OUR_WALKERS` only.
         num_walkers: N.
         num_workers: processes, or threads of `envpool`, or CPU devices of `jax`, at most N are
             used; by default one for each core that this process may use.
@@ -64,17 +67,15 @@ def make_pool(
         from hitl_jax.envs.envpool_pool import EnvpoolPool
 
         return EnvpoolPool(env_id, num_walkers, num_workers, seed=seed)
-    if backend == "jax":
-        if env_id != WALKER:
-            raise ValueError(f"env_id {env_id!r}: must be {WALKER} with backend 'jax'")
-        from hitl_jax.envs.jax_pool import JaxPool
-
-        return JaxPool(num_walkers, num_workers)
-    if backend == "lean" and env_id not in LEAN_WALKERS:
+    if backend in ("lean", "jax") and env_id not in OUR_WALKERS:
         raise ValueError(
-            f"env_id {env_id!r}: must be one of {', '.join(LEAN_WALKERS)} with backend 'lean'; "
+            f"env_id {env_id!r}: must be one of {', '.join(OUR_WALKERS)} with backend {backend!r}; "
             "backend 'gymnasium' takes any"
         )
+    if backend == "jax":
+        from hitl_jax.envs.jax_pool import JaxPool
+
+        return JaxPool(num_walkers, num_workers, env_id == HARDCORE_WALKER)
     from hitl_jax.envs.worker_pool import WorkerPool
 
     return WorkerPool(backend, env_id, num_walkers, num_workers)

@@ -45,12 +45,13 @@ class JaxPool(CheckedPool):
 
     seedable = True
 
-    def __init__(self, num_walkers: int, num_devices: int):
+    def __init__(self, num_walkers: int, num_devices: int, hardcore: bool = False):
         """Makes the walkers; compiles at the first tick.
 
         Args:
             num_walkers: N.
             num_devices: CPU devices to share them out over; accelerators are all used.
+            hardcore: whether their terrain has stumps, stairs and pits.
         """
         super().__init__(num_walkers, walker.OBSERVATION_SIZE, walker.ACTION_SIZE)
         devices = walker_devices(min(num_devices, math.ceil(num_walkers / _LANES)))
@@ -63,7 +64,7 @@ class JaxPool(CheckedPool):
             for index, start in enumerate(starts)
         ]
         self._lanes = math.ceil(share / _LANES) * _LANES
-        self.walkers = [_waiting(self._lanes, block.device) for block in self.blocks]
+        self.walkers = [_waiting(self._lanes, block.device, hardcore) for block in self.blocks]
         self._steps: list[Step] = []
         self._observation = np.zeros((num_walkers, self.observation_size), np.float32)
 
@@ -110,15 +111,15 @@ class JaxPool(CheckedPool):
         self.walkers, self._steps = [], []
 
 
-def _waiting(lanes: int, device: jax.Device) -> Walker:
+def _waiting(lanes: int, device: jax.Device, hardcore: bool) -> Walker:
     """Walkers that wait for their first RESET."""
     keys = jax.device_put(jnp.zeros(lanes, jnp.uint32), device)
-    return _made(keys)
+    return _made(keys, hardcore)
 
 
-@jax.jit
-def _made(seeds: jax.Array) -> Walker:
-    return jax.vmap(lambda seed: walker.made(make_key(seed)))(seeds)
+@functools.partial(jax.jit, static_argnums=1)
+def _made(seeds: jax.Array, hardcore: bool) -> Walker:
+    return jax.vmap(lambda seed: walker.made(make_key(seed), hardcore))(seeds)
 
 
 @functools.partial(jax.jit, donate_argnums=0)
@@ -138,8 +139,10 @@ def tick(
     """
     begins, idle = command == Command.RESET, command == Command.IDLE
 
+    hardcore = walkers.terrain.boxes is not None
+
     def renewed() -> Walker:
-        return _chosen(begins, _made(seed), walkers)
+        return _chosen(begins, _made(seed, hardcore), walkers)
 
     before = jax.lax.cond(begins.any(), renewed, lambda: walkers)
     after, step = jax.vmap(walker.step)(before, jnp.where(begins[:, None], 0.0, action))

@@ -296,7 +296,7 @@ class LeanWalkers:
         """Makes the walkers; each waits for its first RESET.
 
         Args:
-            env_id: one of `LEAN_WALKERS`.
+            env_id: one of `OUR_WALKERS`.
             num_walkers: of this process.
         """
         spec = gymnasium.spec(env_id)

@@ -18,7 +18,15 @@ class BipedalWalker(Env):
 
     `done` is a fall or the goal. The time limit is the wrappers' own: give them an `episode_length`
     of `MOST_STEPS`. Brax's automatic reset begins each of a walker's episodes on its first terrain.
+
+    Attributes:
+        hardcore: whether terrain has stumps, stairs and pits (BipedalWalkerHardcore-v3, whose limit
+            is `MOST_HARDCORE_STEPS`).
     """
+
+    def __init__(self, hardcore: bool = False):
+        """Chooses the terrain; see the attributes."""
+        self.hardcore = hardcore
 
     def reset(self, rng: jax.Array) -> State:
         """Begins an episode on new terrain.
@@ -29,7 +37,7 @@ class BipedalWalker(Env):
         Returns:
             The first state; its observation is [24].
         """
-        walker, observation = env.reset(rng)
+        walker, observation = env.reset(rng, self.hardcore)
         zero = jnp.zeros((), jnp.float32)
         return State(walker, observation, zero, zero)
 

@@ -5,22 +5,33 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax.walker import ground, parts, touch
+from hitl_jax.walker import parts, touch
+from hitl_jax.walker.boxes import Boxes
 from hitl_jax.walker.hinges import Impulses
-from hitl_jax.walker.plane import pose, vec
-from hitl_jax.walker.world import World, legs_left, legs_of
+from hitl_jax.walker.plane import vec
+from hitl_jax.walker.terrain import Terrain
+from hitl_jax.walker.world import World
 
 
-def heights_of(env: Any) -> np.ndarray:
-    """Heights of the corners of a walker's plain terrain.
+def terrain_of(env: Any) -> Terrain:
+    """The ground of a walker.
 
     Args:
         env: gymnasium's `BipedalWalker`, after its reset.
 
     Returns:
-        Heights, float32 [TERRAIN_LENGTH] [m].
+        The terrain, leaves [TERRAIN_LENGTH].
     """
-    return np.array(env.terrain_y, np.float32)
+    heights = jnp.asarray(np.array(env.terrain_y, np.float32))
+    if not env.hardcore:
+        return Terrain(heights)
+    low, high = np.zeros((2, parts.TERRAIN_LENGTH, 2), np.float32)
+    for body in env.terrain:
+        corners = np.array(body.fixtures[0].shape.vertices, np.float32)
+        if len(corners) == 4:
+            begin, end = np.rint(corners[:, 0] / parts.TERRAIN_STEP).astype(int)[[2, 0]]
+            low[begin:end], high[begin:end] = corners.min(0), corners.max(0)
+    return Terrain(heights, Boxes(vec(low), vec(high)))
 
 
 def world_of(env: Any) -> World:
@@ -37,15 +48,13 @@ def world_of(env: Any) -> World:
     velocities = np.array([tuple(body.linearVelocity) for body in bodies], np.float32)
     angles = np.array([body.angle for body in bodies], np.float32)[:, None]
     place = vec(world_centres, 1)
-    heights = jnp.asarray(heights_of(env))[:, None]
-    edges = ground.edges_of_parts(heights, legs_left(legs_of(pose(place, jnp.asarray(angles)))))
     return World(
         place=place,
         angle=jnp.asarray(angles),
         velocity=vec(velocities, 1),
         spin=jnp.asarray(np.array([body.angularVelocity for body in bodies], np.float32)[:, None]),
         impulses=_impulses(env),
-        contacts=_contacts(env, np.asarray(edges.index)),
+        contacts=_contacts(env),
         feet=jnp.asarray([[bool(getattr(leg, "ground_contact", False))] for leg in env.legs]),
         fallen=jnp.asarray([bool(env.game_over)]),
     )
@@ -62,27 +71,31 @@ def _impulses(env: Any) -> Impulses:
     )
 
 
-def _contacts(env: Any, index: np.ndarray) -> touch.Contacts:
-    """Contacts by slot; the index is that of the edge in each [4, 4, 1]."""
-    keys = np.zeros((2, 4, 4, 1), np.int32)
-    valid = np.zeros((2, 4, 4, 1), bool)
-    normal, along = (np.zeros((2, 4, 4, 1), np.float32) for _ in range(2))
+def _contacts(env: Any) -> touch.Contacts:
+    shape = (touch.SLOTS, len(env.legs), 1)
+    edge = np.full(shape, -1, np.int32)
+    keys, valid = np.zeros((2, *shape), np.int32), np.zeros((2, *shape), bool)
+    normal, along = (np.zeros((2, *shape), np.float32) for _ in range(2))
     for part, leg in enumerate(env.legs):
-        for entry in leg.contacts:
-            contact = entry.contact
-            if not contact.touching:
-                continue
-            corner = contact.fixtureA.shape.vertices[0][0]
-            edge = round(corner / parts.TERRAIN_STEP)
-            slot = int(index[0, part, 0]) - edge
-            if not 0 <= slot < index.shape[0]:
-                continue
+        touching = [entry.contact for entry in leg.contacts if entry.contact.touching]
+        for slot, contact in enumerate(touching[: touch.SLOTS]):
+            is_second = contact.fixtureA.body == leg
+            ground = contact.fixtureB if is_second else contact.fixtureA
+            corners = ground.shape.vertices
+            column = round(min(x for x, _ in corners) / parts.TERRAIN_STEP)
+            edge[slot, part] = column + (touch.BEHIND_EDGES if len(corners) == 4 else 0)
             for row, point in enumerate(contact.manifold.points[: contact.manifold.pointCount]):
-                feature = point.id.cf
-                place = (row, slot, part, 0)
-                keys[place] = feature.indexA + 8 * feature.indexB + touch.FACE * feature.typeA
+                place = (row, slot, part)
+                keys[place] = _key(point.id.cf, is_second)
                 valid[place] = True
                 normal[place] = point.normalImpulse
                 along[place] = point.tangentImpulse
     pairs = [tuple(jnp.asarray(rows) for rows in array) for array in (keys, valid, normal, along)]
-    return touch.Contacts(jnp.asarray(index), *pairs)  # type: ignore[arg-type]
+    return touch.Contacts(jnp.asarray(edge), *pairs)  # type: ignore[arg-type]
+
+
+def _key(feature: Any, ground_is_second: bool) -> int:
+    ground, part, kind = feature.indexA, feature.indexB, feature.typeA
+    if ground_is_second:
+        ground, part, kind = part, ground, feature.typeB
+    return int(ground + 8 * part + touch.FACE * kind)

@@ -6,16 +6,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax.walker import ground, hinges, parts, touch, world
+from hitl_jax.walker import ground, hinges, parts, terrain, touch, world
 from hitl_jax.walker.flat import of_one
 from hitl_jax.walker.hinges import Impulses
 from hitl_jax.walker.plane import Vec, pose, vec
+from hitl_jax.walker.terrain import Terrain
 from hitl_jax.walker.world import World
 
 OBSERVATION_SIZE = 24
 ACTION_SIZE = 4
-MOST_STEPS = 1600
-"""Of an episode, by gymnasium's registration of BipedalWalker-v3."""
+MOST_STEPS, MOST_HARDCORE_STEPS = 1600, 2000
+"""Of an episode, by gymnasium's registrations of BipedalWalker-v3 and BipedalWalkerHardcore-v3."""
 
 _official = parts.official
 _EFFORT = 0.00035 * _official.MOTORS_TORQUE
@@ -28,13 +29,13 @@ class Walker:
 
     Attributes:
         world: its bodies; see `World`, without the last axis.
-        heights: of its ground [200] [m].
+        terrain: its ground.
         shaping: the potential whose growth is the reward.
         steps: made so far, -1 before the one that ends the reset, int32.
     """
 
     world: World
-    heights: jax.Array
+    terrain: Terrain
     shaping: jax.Array
     steps: jax.Array
 
@@ -57,24 +58,26 @@ class Step:
     truncated: jax.Array
 
 
-def reset(key: jax.Array) -> tuple[Walker, jax.Array]:
-    """Begins an episode on new plain terrain.
+def reset(key: jax.Array, hardcore: bool = False) -> tuple[Walker, jax.Array]:
+    """Begins an episode on new terrain.
 
     Args:
         key: consumed.
+        hardcore: static; whether the terrain has stumps, stairs and pits.
 
     Returns:
         The walker, and the first observation [24].
     """
-    walker, first = step(made(key), jnp.zeros(ACTION_SIZE))
+    walker, first = step(made(key, hardcore), jnp.zeros(ACTION_SIZE))
     return walker, first.observation
 
 
-def made(key: jax.Array) -> Walker:
+def made(key: jax.Array, hardcore: bool = False) -> Walker:
     """A walker as gymnasium's reset makes it, before the step without motors that ends the reset.
 
     Args:
         key: consumed.
+        hardcore: static; see `reset`.
 
     Returns:
         The walker; `step` it with an action of zeros.
@@ -82,20 +85,20 @@ def made(key: jax.Array) -> Walker:
     ground_key, push_key = jax.random.split(key)
     most = _official.INITIAL_RANDOM
     push = jax.random.uniform(push_key, minval=-most, maxval=most)
-    return made_on(ground.grass(ground_key), push)
+    return made_on(terrain.drawn(ground_key, hardcore), push)
 
 
-def made_on(heights: jax.Array, push: jax.Array) -> Walker:
+def made_on(ground: Terrain, push: jax.Array) -> Walker:
     """A walker on given terrain; see `made`.
 
     Args:
-        heights: of the ground [200] [m].
+        ground: the terrain.
         push: that the hull gets in the first step [N].
 
     Returns:
         The walker.
     """
-    return Walker(_bodies(push), heights, jnp.float32(0.0), jnp.int32(-1))
+    return Walker(_bodies(push), ground, jnp.float32(0.0), jnp.int32(-1))
 
 
 def _bodies(push: jax.Array) -> World:
@@ -124,22 +127,22 @@ def _bodies(push: jax.Array) -> World:
 
 
 def _advance(
-    before: World, action: jax.Array, heights: jax.Array
+    before: World, action: jax.Array, terrain: Terrain
 ) -> tuple[World, jax.Array, jax.Array]:
     """The world after a step, the observation and the place of the hull; last axis is the batch."""
     speed = jnp.asarray(parts.SPEEDS[:, None], jnp.float32) * jnp.sign(action)
     torque = parts.TORQUE * jnp.clip(jnp.abs(action), 0, 1)
-    after = world.step(before, speed, torque, heights)
-    observation, place = observe(after, heights)
+    after = world.step(before, speed, torque, terrain)
+    observation, place = observe(after, terrain)
     return after, observation, place
 
 
-def observe(now: World, heights: jax.Array) -> tuple[jax.Array, jax.Array]:
+def observe(now: World, terrain: Terrain) -> tuple[jax.Array, jax.Array]:
     """What a walker sees; the last axis is the batch.
 
     Args:
         now: the world.
-        heights: of the ground [200, B].
+        terrain: the ground, leaves [200, B].
 
     Returns:
         Observations [24, B], and how far the hull has come [B] [m].
@@ -168,7 +171,7 @@ def observe(now: World, heights: jax.Array) -> tuple[jax.Array, jax.Array]:
         0.3 * now.velocity.y[0] * (_official.VIEWPORT_H / scale) / fps,
         *legs,
     ]
-    return jnp.concatenate([jnp.stack(seen), ground.lidar(heights, origin)]), origin.x
+    return jnp.concatenate([jnp.stack(seen), ground.lidar(terrain, origin)]), origin.x
 
 
 _advance_one = of_one(_advance)
@@ -184,11 +187,12 @@ def step(walker: Walker, action: jax.Array) -> tuple[Walker, Step]:
     Returns:
         The walker after it, and what came of it. After the end of an episode it means nothing.
     """
-    after, observation, place = _advance_one(walker.world, action, walker.heights)
+    after, observation, place = _advance_one(walker.world, action, walker.terrain)
     shaping = 130 * place / _official.SCALE - 5.0 * jnp.abs(observation[0])
     effort = (_EFFORT * jnp.clip(jnp.abs(action), 0, 1)).sum()
     fallen = after.fallen | (place < 0)
     reward = jnp.where(fallen, -100.0, shaping - walker.shaping - effort)
     steps = walker.steps + 1
-    made = Step(observation, reward, fallen | (place > parts.GOAL), steps >= MOST_STEPS)
-    return Walker(after, walker.heights, shaping, steps), made
+    most = MOST_STEPS if walker.terrain.boxes is None else MOST_HARDCORE_STEPS
+    made = Step(observation, reward, fallen | (place > parts.GOAL), steps >= most)
+    return Walker(after, walker.terrain, shaping, steps), made

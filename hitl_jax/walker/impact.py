@@ -9,12 +9,14 @@ Source: E. Catto, "Continuous Collision", GDC 2013, and the behaviour of Box2D 2
 """
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax.walker import grips, parts, touch
+from hitl_jax.walker.boxes import Near
 from hitl_jax.walker.once import once
 from hitl_jax.walker.plane import Pose, Speeds, Vec, cross, dot, pose, tangent, where
 from hitl_jax.walker.touch import (
@@ -144,17 +146,7 @@ def _closest(part: Pose, edges: Edges) -> tuple[jax.Array, _Axis]:
     return jnp.where(apart, distance, 0.0), _Axis(of_part, normal, anchor)
 
 
-def time_of_impact(sweep: Sweep, edges: Edges) -> jax.Array:
-    """When parts meet edges, by conservative advancement.
-
-    Args:
-        sweep: of the parts.
-        edges: near them.
-
-    Returns:
-        Times from 0 to 1; 1 where they do not meet, or overlap to begin with.
-    """
-
+def _time_of_impact(sweep: Sweep, edges: Edges) -> jax.Array:
     def advance(carry: tuple) -> tuple:
         count, time, met, active = carry
         part = sweep.at(time)
@@ -243,8 +235,34 @@ def _root(
     return jax.lax.while_loop(goes, step, start)[5]
 
 
-def may_meet(end: Pose, edges: Edges) -> jax.Array:
-    """Whether parts are at the end of a step so near edges that they may have met them, [B]."""
+def time_of_impact(sweep: Sweep, near: Near) -> jax.Array:
+    """When parts meet what is near them, by conservative advancement.
+
+    Args:
+        sweep: of the parts.
+        near: edges and boxes.
+
+    Returns:
+        Times from 0 to 1; 1 where they do not meet, or overlap to begin with.
+    """
+    time = _time_of_impact(sweep, near.edges)
+    if near.boxes is None:
+        return time
+    # From outside, a box is as far away as the nearest of its sides.
+    of_sides = [_time_of_impact(sweep, sides) for sides in near.boxes.sides()]
+    return jnp.concatenate([time, functools.reduce(jnp.minimum, of_sides)])
+
+
+def may_meet(end: Pose, near: Near) -> jax.Array:
+    """Whether parts are at the end of a step so near the ground that they may have met it, [B]."""
+    may = _may_meet_edges(end, near.edges)
+    if near.boxes is None:
+        return may
+    apart = near.boxes.gap(end.put(CORNERS))
+    return may | ((apart < _TARGET + _TOLERANCE) & near.boxes.exist).any((0, 1))
+
+
+def _may_meet_edges(end: Pose, edges: Edges) -> jax.Array:
     along = edges.end - edges.start
     upright = tangent(along) * (-1.0 / jnp.sqrt(dot(along, along)))
     above = dot(upright, end.put(CORNERS) - edges.start).min(0)
@@ -274,12 +292,12 @@ class Moved:
     feet: jax.Array
 
 
-def land(moved: Moved, edges: Edges) -> Moved:
+def land(moved: Moved, near: Near) -> Moved:
     """Has parts meet the ground, one impact after the other.
 
     Args:
         moved: parts at the beginning of a step, as they would end without the ground.
-        edges: near where they would end.
+        near: what is where they would end.
 
     Returns:
         The parts at its end.
@@ -291,35 +309,35 @@ def land(moved: Moved, edges: Edges) -> Moved:
 
     def one(carry: tuple) -> tuple:
         moved, count, off, _ = carry
-        moments = _next(moved, edges, count, off)
+        moments = _next(moved, near, count, off)
         moment = moments.min(0)
         meets = moment < _ALL
         first = meets & (moments == moment) & (count <= _MOST_IMPACTS)
-        after, touched = _impact(moved, edges, moment, first)
+        after, touched = _impact(moved, near, moment, first)
         lands = meets & touched
         moved = jax.tree.map(lambda new, old: jnp.where(lands, new, old), after, moved)
         return moved, count + first, off | (first & ~touched), meets.any()
 
-    count, off = jnp.zeros_like(edges.index), jnp.zeros_like(edges.index, bool)
+    count, off = jnp.zeros_like(near.index), jnp.zeros_like(near.index, bool)
     moved, *_ = jax.lax.while_loop(goes, one, (moved, count, off, jnp.bool_(True)))
     return moved
 
 
-def _next(moved: Moved, edges: Edges, count: jax.Array, off: jax.Array) -> jax.Array:
+def _next(moved: Moved, near: Near, count: jax.Array, off: jax.Array) -> jax.Array:
     """When each contact's next impact is, as shares of the whole step."""
-    beta = time_of_impact(moved.sweep, edges)
+    beta = time_of_impact(moved.sweep, near)
     time = jnp.minimum(moved.done + (1.0 - moved.done) * beta, 1.0)
     counts = (beta < 1.0) & ~off & (count <= _MOST_IMPACTS)
     return jnp.where(counts, time, 1.0)
 
 
 def _impact(
-    moved: Moved, edges: Edges, moment: jax.Array, first: jax.Array
+    moved: Moved, near: Near, moment: jax.Array, first: jax.Array
 ) -> tuple[Moved, jax.Array]:
     """One impact of each part, and the rest of its step; and whether it touched the ground then."""
     share = (moment - moved.done) / (1.0 - moved.done)
     place, turn = moved.sweep.part_way(share)
-    manifold = touch.touch(pose(place, turn), edges)
+    manifold = near.touch(pose(place, turn))
     touched = (manifold.touching & first).any(0)
     # Box2D solves the contact that it found first before the part's others.
     manifold = touch.forward(manifold, first)

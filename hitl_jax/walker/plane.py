@@ -1,6 +1,7 @@
 """Vectors and turns of the plane; components are arrays of any one shape."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +15,10 @@ class Vec:
 
     x: jax.Array
     y: jax.Array
+
+    def __getitem__(self, place: Any) -> "Vec":
+        """Some of several vectors, as of an array."""
+        return Vec(self.x[place], self.y[place])
 
     def __add__(self, other: "Vec") -> "Vec":
         """The sum."""

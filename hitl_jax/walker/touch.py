@@ -17,14 +17,17 @@ from hitl_jax.walker import parts
 from hitl_jax.walker.once import once
 from hitl_jax.walker.plane import Pose, Vec, dot, tangent, vec, where
 
-_SKINS = 2 * parts.SKIN
+SKINS = 2 * parts.SKIN
 SLOTS = 4
-_AS_GOOD = 0.98
-_BETTER_BY = 0.001
+BEHIND_EDGES = parts.TERRAIN_LENGTH + 1
+"""Numbers of boxes begin here (see `boxes`), those of edges end before it."""
+AS_GOOD = 0.98
+BETTER_BY = 0.001
 """A side of the part is taken for reference rather than the edge where it is better by so much."""
 
 FACE = 64
-"""In the key of a point that was not cut off."""
+"""In the key of a point that was not cut off. A key is a feature of the ground and eight times one
+of the part, beside it."""
 
 
 def polygon(corners: np.ndarray) -> tuple[Vec, Vec]:
@@ -97,7 +100,7 @@ class Manifold:
     """How a part touches an edge, in at most two points.
 
     Attributes:
-        edge: which of the terrain's, int32.
+        edge: which of the terrain's, or which box, int32.
         on_edge: whether the edge is the reference, and the points are of the part; else a side of
             the part is, and the points are of the edge.
         normal: of the reference; in the world where `on_edge`, else in the part.
@@ -134,7 +137,7 @@ class Manifold:
         plane = where(self.on_edge, self.plane, part.put(self.plane))
         points = [where(self.on_edge, part.put(point), point) for point in self.points]
         outward = where(self.on_edge, normal, -normal)
-        return [(outward, point, dot(point - plane, normal) - _SKINS) for point in points]
+        return [(outward, point, dot(point - plane, normal) - SKINS) for point in points]
 
 
 def touch(part: Pose, edges: Edges) -> Manifold:
@@ -157,8 +160,8 @@ def touch(part: Pose, edges: Edges) -> Manifold:
     of_edge = dot(up, corners - edges.start).min(0)
     of_sides = -jnp.maximum(dot(normals, corners - edges.start), dot(normals, corners - edges.end))
     of_side = of_sides.max(0)
-    near = (of_edge <= _SKINS) & (of_side <= _SKINS) & edges.exist
-    on_edge = of_side <= _AS_GOOD * of_edge + _BETTER_BY
+    near = (of_edge <= SKINS) & (of_side <= SKINS) & edges.exist
+    on_edge = of_side <= AS_GOOD * of_edge + BETTER_BY
 
     facing = dot(up, normals)
     side = jnp.where(on_edge, first_of(facing <= facing.min(0)), first_of(of_sides >= of_side))
@@ -185,10 +188,10 @@ def touch(part: Pose, edges: Edges) -> Manifold:
         (right, -tangent(normal), jnp.where(on_edge, jnp.where(front, 1, 0), next_side)),
     ):
         cut = jnp.where(on_edge, feature + 8 * incident, side + 8 * feature)
-        points, keys, cuts, incident = _clip(points, keys, incident, border, outside, cut)
+        points, keys, cuts, incident = clip(points, keys, incident, border, outside, cut)
         met = met & cuts
 
-    valid = [met & (dot(normal, point - left) <= _SKINS) for point in points]
+    valid = [met & (dot(normal, point - left) <= SKINS) for point in points]
     return Manifold(
         edge=edges.index,
         on_edge=on_edge,
@@ -203,7 +206,7 @@ def touch(part: Pose, edges: Edges) -> Manifold:
     )
 
 
-def _clip(
+def clip(
     points: list[Vec],
     keys: list[jax.Array],
     incident: jax.Array,
@@ -212,6 +215,14 @@ def _clip(
     cut: jax.Array,
 ) -> tuple[list[Vec], list[jax.Array], jax.Array, jax.Array]:
     """Cuts a segment off at a border (Sutherland and Hodgman).
+
+    Args:
+        points: its ends.
+        keys: of these.
+        incident: the feature of the second polygon that the first of them has.
+        border: a point of it.
+        outside: its normal.
+        cut: the key of a point that is made here.
 
     Returns:
         The points, their keys, whether two are left, and the part's feature of the first of them.
@@ -232,7 +243,7 @@ def forward(manifold: Manifold, leading: jax.Array | bool = False) -> Manifold:
     """Moves those that touch to the first slots, in the order in which they stand.
 
     Args:
-        manifold: of the slots.
+        manifold: of at least `SLOTS` slots; no more than these are kept.
         leading: which of them go before the others, if they touch.
 
     Returns:
@@ -253,7 +264,7 @@ def forward(manifold: Manifold, leading: jax.Array | bool = False) -> Manifold:
         rows = []
         for to in range(SLOTS):
             row = leaf[-1]
-            for i in range(SLOTS - 1):
+            for i in range(len(leaf) - 1):
                 row = jnp.where(slot[i] == to, leaf[i], row)
             rows.append(row)
         return jnp.stack(rows)
@@ -350,8 +361,8 @@ def feet_after(feet: jax.Array, old: Contacts, new: Contacts) -> jax.Array:
     """
     begins = new.touching & ~_found(old, new.edge).touching
     ends = old.touching & ~_found(new, old.edge).touching
-    far = jnp.int32(parts.TERRAIN_LENGTH + 1)
-    begun = jnp.where(begins, new.edge, far).min(0)
-    ended = jnp.where(ends, old.edge, far).min(0)
+    far = jnp.int32(BEHIND_EDGES)
+    begun = jnp.where(begins, new.edge % BEHIND_EDGES, far).min(0)
+    ended = jnp.where(ends, old.edge % BEHIND_EDGES, far).min(0)
     last = jnp.minimum(begun, ended)
     return jnp.where(last == far, feet, begun <= ended)

@@ -16,6 +16,7 @@ from hitl_jax.walker.hinges import Impulses
 from hitl_jax.walker.kernel import as_kernel, on_gpu
 from hitl_jax.walker.plane import Pose, Speeds, Vec, dot, pose, tangent, where
 from hitl_jax.walker.rarely import rarely
+from hitl_jax.walker.terrain import Terrain
 from hitl_jax.walker.touch import Contacts
 
 _ROUNDS_FOR_ALL = 2
@@ -57,25 +58,24 @@ class World:
     fallen: jax.Array
 
 
-def step(world: World, speed: jax.Array, torque: jax.Array, heights: jax.Array) -> World:
+def step(world: World, speed: jax.Array, torque: jax.Array, terrain: Terrain) -> World:
     """One step of `parts.SECONDS`.
 
     Args:
         world: before it.
         speed: that each motor is to reach [4, B] [rad/s].
         torque: the most it may give [4, B] [N m].
-        heights: of the ground [TERRAIN_LENGTH, B] [m].
+        terrain: leaves [TERRAIN_LENGTH, B].
 
     Returns:
         The world after it.
     """
     bodies = pose(world.place, world.angle)
     legs = legs_of(bodies)
-    edges = ground.edges_of_parts(heights, legs_left(legs))
-    manifold = touch.forward(touch.touch(legs, edges))
+    manifold = touch.forward(ground.near_parts(terrain, legs_left(legs)).touch(legs))
     contacts = touch.remember(world.contacts, manifold)
     feet = touch.feet_after(world.feet, world.contacts, contacts)
-    fallen = world.fallen | _hull_meets(bodies, heights, 2 * parts.SKIN)
+    fallen = world.fallen | _hull_meets(bodies, terrain, 2 * parts.SKIN)
 
     hinge = hinges.prepare(bodies, world.angle, speed, torque)
     grip = grips.prepare(manifold, legs)
@@ -87,17 +87,17 @@ def step(world: World, speed: jax.Array, torque: jax.Array, heights: jax.Array) 
     place, angle = _settle(place, angle, hinge.side, manifold)
 
     moved = impact.Moved(
-        sweep=impact.Sweep(_tail(world.place), world.angle[1:], _tail(place), angle[1:]),
+        sweep=impact.Sweep(world.place[1:], world.angle[1:], place[1:], angle[1:]),
         done=jnp.zeros_like(angle[1:]),
-        speeds=Speeds(_tail(speeds.velocity), speeds.spin[1:]),
+        speeds=Speeds(speeds.velocity[1:], speeds.spin[1:]),
         contacts=contacts,
         feet=feet,
     )
     ended = pose(place, angle)
-    edges = ground.edges_of_parts(heights, legs_left(legs_of(ended)))
-    meets = impact.may_meet(legs_of(ended), edges)
-    moved = rarely(meets, impact.land, moved, edges, num_parts=len(_LEGS))
-    fallen |= _hull_meets(ended, heights, impact.NEAR)
+    near = ground.near_parts(terrain, legs_left(legs_of(ended)))
+    meets = impact.may_meet(legs_of(ended), near)
+    moved = rarely(meets, impact.land, moved, near, num_parts=len(_LEGS))
+    fallen |= _hull_meets(ended, terrain, impact.NEAR)
     return World(
         place=_after_head(place, moved.sweep.end_place),
         angle=jnp.concatenate([angle[:1], moved.sweep.end_turn]),
@@ -110,17 +110,13 @@ def step(world: World, speed: jax.Array, torque: jax.Array, heights: jax.Array) 
     )
 
 
-def _tail(vectors: Vec) -> Vec:
-    return Vec(vectors.x[1:], vectors.y[1:])
-
-
 def _after_head(bodies: Vec, legs: Vec) -> Vec:
     return Vec(jnp.concatenate([bodies.x[:1], legs.x]), jnp.concatenate([bodies.y[:1], legs.y]))
 
 
 def legs_of(bodies: Pose) -> Pose:
     """The poses of the legs' parts [4, B] of those of all bodies [5, B]."""
-    return Pose(_tail(bodies.place), bodies.cos[1:], bodies.sin[1:])
+    return Pose(bodies.place[1:], bodies.cos[1:], bodies.sin[1:])
 
 
 def legs_left(legs: Pose) -> jax.Array:
@@ -128,17 +124,24 @@ def legs_left(legs: Pose) -> jax.Array:
     return legs.put(touch.CORNERS).x.min((0, 1)) - 2 * parts.SKIN
 
 
-def _hull_meets(bodies: Pose, heights: jax.Array, near: float) -> jax.Array:
+def _hull_meets(bodies: Pose, terrain: Terrain, distance: float) -> jax.Array:
     """Whether the core of the hull is so near the ground [m], bool [B]."""
-    hull = Pose(Vec(bodies.place.x[0], bodies.place.y[0]), bodies.cos[0], bodies.sin[0])
+    hull = Pose(bodies.place[0], bodies.cos[0], bodies.sin[0])
     corners, normals = hull.put(_HULL_CORNERS), hull.turned(_HULL_NORMALS)
-    edges = ground.edges_of_hull(heights, corners.x.min((0, 1)) - 2 * parts.SKIN)
+    near = ground.near_hull(terrain, corners.x.min((0, 1)) - 2 * parts.SKIN)
+    edges = near.edges
     along = edges.end - edges.start
     up = tangent(along) * (-1.0 / jnp.sqrt(dot(along, along)))
     above = dot(up, corners - edges.start).min(0)
     beside = jnp.minimum(dot(normals, edges.start - corners), dot(normals, edges.end - corners))
     apart = jnp.maximum(above, beside.max(0))
-    return ((apart <= near) & edges.exist).any(0)
+    meets = ((apart <= distance) & edges.exist).any(0)
+    if near.boxes is None:
+        return meets
+    others = near.boxes.corners
+    beside = dot(normals[:, None], others - corners[:, None]).min(1).max(0)
+    apart = jnp.maximum(near.boxes.gap(corners), beside)
+    return meets | ((apart <= distance) & near.boxes.exist).any(0)
 
 
 @jax.tree_util.register_dataclass
@@ -170,7 +173,7 @@ def _velocities(
     gravity = parts.SECONDS * parts.GRAVITY
     velocity = Vec(world.velocity.x, world.velocity.y + gravity)
     normal, along = grips.begin(grip, contacts)
-    legs = grips.warm(Speeds(_tail(velocity), world.spin[1:]), grip, normal, along)
+    legs = grips.warm(Speeds(velocity[1:], world.spin[1:]), grip, normal, along)
     rows = _rows(_after_head(velocity, legs.velocity), jnp.concatenate([world.spin[:1], legs.spin]))
     begun = hinges.begin(hinge, world.impulses)
     rows = hinges.warm(rows, hinge, begun)
@@ -278,7 +281,7 @@ def _position_rounds(made: int, carry: tuple, context: tuple) -> tuple:
 def _position_round(carry: tuple, side: jax.Array, manifold: touch.Manifold) -> tuple:
     """Places, angles, and who needs another round; from those before it."""
     place, angle, active = carry
-    legs, turns, least = grips.position_round(_tail(place), angle[1:], manifold, _FIRMNESS)
+    legs, turns, least = grips.position_round(place[1:], angle[1:], manifold, _FIRMNESS)
     places = [Vec(place.x[0], place.y[0])]
     places += [Vec(legs.x[i], legs.y[i]) for i in range(4)]
     places, all_turns, good = hinges.position_round(places, [angle[0], *turns], side)

@@ -1,0 +1,201 @@
+"""Hardcore terrain: it is drawn as gymnasium draws it, and walkers meet it as in Box2D."""
+
+import dataclasses
+
+import gymnasium
+import jax
+import numpy as np
+import pytest
+
+from experiments.agreements.states import copied
+from hitl_jax.devices import walker_devices
+from hitl_jax.envs import HARDCORE_WALKER, Command, jax_pool, make_pool
+from hitl_jax.walker import copying, parts, terrain
+
+pytestmark = pytest.mark.usefixtures("compiled_in_haste")
+
+LANES = 16
+DRAWS = 12
+
+
+def _made():
+    return gymnasium.make(HARDCORE_WALKER, disable_env_checker=True).unwrapped
+
+
+@pytest.fixture(scope="module")
+def official():
+    return _made()
+
+
+class _Told:
+    """In the place of gymnasium's random numbers: those that were drawn for each corner."""
+
+    def __init__(self, env, pushes, stretches, kinds, stumps, others, rises):
+        self._corner = lambda: len(env.terrain_x) - 1
+        self._pushes, self._rises = pushes * parts.official.SCALE, rises
+        self._integers = {(5, 10): stretches, (1, 4): kinds, (1, 3): stumps, (3, 5): others}
+
+    def uniform(self, low, high):
+        return self._pushes[self._corner()]
+
+    def random(self):
+        return float(self._rises[self._corner()])
+
+    def integers(self, low, high):
+        return 4 if (low, high) == (4, 5) else self._integers[low, high][self._corner()]
+
+
+def test_terrain_from_equal_numbers_is_gymnasiums():
+    rng = np.random.default_rng(0)
+    shape = (DRAWS, parts.TERRAIN_LENGTH)
+    drawn = (
+        rng.uniform(-1, 1, shape).astype(np.float32) / np.float32(parts.official.SCALE),
+        *(
+            rng.integers(*ends, shape).astype(np.int32)
+            for ends in ((5, 10), (1, 4), (1, 3), (3, 5))
+        ),
+        rng.random(shape) < 0.5,
+    )
+    plan = jax.jit(jax.vmap(terrain.planned))(*drawn)
+    kinds = set()
+    for index in range(DRAWS):
+        official = _made()
+        official.reset(seed=0)
+        official._np_random = _Told(official, *(values[index] for values in drawn))
+        official._generate_terrain(hardcore=True)
+        theirs = copying.terrain_of(official)
+        ours = jax.tree.map(lambda leaf, at=index: leaf[at], plan)
+        np.testing.assert_allclose(ours.heights, theirs.heights, atol=2e-5)
+        # Beyond the end of the ground gymnasium's boxes go on, and nobody gets there.
+        inside = slice(0, parts.NUM_EDGES)
+        for mine, other in zip(
+            jax.tree.leaves(ours.boxes), jax.tree.leaves(theirs.boxes), strict=True
+        ):
+            np.testing.assert_allclose(mine[inside], other[inside], atol=2e-5)
+        boxes = np.stack([ours.boxes.low.x, ours.boxes.high.x, ours.boxes.low.y, ours.boxes.high.y])
+        sizes = np.rint((boxes[1::2] - boxes[::2]) / parts.TERRAIN_STEP)
+        kinds |= {tuple(size) for size in sizes.T}
+    # None, two stumps, a pit's wall, a stair.
+    assert kinds == {(0, 0), (1, 1), (2, 2), (1, 4), (4, 1)}
+
+
+def _tick(walkers, actions):
+    """A step of sixteen walkers, by the program of a small pool."""
+    rows = np.full(LANES, Command.STEP, np.uint8), np.float32(actions), np.zeros(LANES, np.uint32)
+    return jax_pool.tick(*jax.device_put((walkers, *rows), walker_devices(1)[0]))
+
+
+def _stacked(walkers):
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *walkers)
+
+
+def _put(env, seed, x, y):
+    """Begins an episode with the hull at another place; Box2D finds contacts after a step."""
+    env.reset(seed=seed)
+    shift = np.array([x, y]) - np.array(tuple(env.hull.position))
+    for body in (env.hull, *env.legs):
+        body.position = tuple(np.array(tuple(body.position)) + shift)
+    env.step(np.zeros(4))
+
+
+def _boxes(env):
+    shapes = [np.array(body.fixtures[0].shape.vertices) for body in env.terrain]
+    return [corners for corners in shapes if len(corners) == 4]
+
+
+def _stands_on_a_box(env):
+    touched = [
+        fixture.shape.vertices
+        for leg in env.legs
+        for entry in leg.contacts
+        if entry.contact.touching
+        for fixture in (entry.contact.fixtureA, entry.contact.fixtureB)
+        if fixture.body not in env.legs
+    ]
+    return any(len(corners) == 4 for corners in touched)
+
+
+def test_a_step_on_obstacles_is_box2ds(official):
+    """By walkers that are dropped over an obstacle and kick about."""
+    rng = np.random.default_rng(0)
+    rows = []
+    for seed in range(64):
+        official.reset(seed=seed)
+        corners = rng.choice(_boxes(official))
+        low, high = corners.min(0), corners.max(0)
+        _put(
+            official, seed, rng.uniform(low[0] - 0.7, high[0] + 0.7), high[1] + rng.uniform(2.3, 3)
+        )
+        for count in range(40):
+            action = rng.uniform(-1, 1, 4).astype(np.float32)
+            before = copied(official) if count > 4 and _stands_on_a_box(official) else None
+            observation, _, terminated, _, _ = official.step(action)
+            if terminated:
+                break
+            if before is not None:
+                rows.append((before, action, observation))
+    assert len(rows) > 8 * LANES
+    errors = []
+    for begin in range(0, 8 * LANES, LANES):
+        walkers, actions, expected = zip(*rows[begin : begin + LANES], strict=True)
+        _, step = _tick(_stacked(walkers), np.stack(actions))
+        errors.append(np.abs(np.asarray(step.observation) - np.stack(expected)))
+    error = np.concatenate(errors)
+    assert np.median(error) <= 1e-6
+    assert np.quantile(error, 0.95) <= 1e-4
+    # A foot's flag, or an impact, may differ now and then.
+    assert (error.max(1) > 1e-2).mean() <= 0.05
+
+
+def _stump(env):
+    env.reset(seed=0)
+    return next(box for box in _boxes(env) if np.ptp(box[:, 1]) < 1)
+
+
+def test_lidar_sees_obstacles(official):
+    corners = _stump(official)
+    walkers, expected = [], []
+    for away in np.linspace(-4, 1, LANES):
+        _put(official, 0, corners[:, 0].min() + away, corners[:, 1].max() + 3.2)
+        walkers.append(copied(official))
+        expected.append(official.step(np.zeros(4))[0][14:])
+    _, step = _tick(_stacked(walkers), np.zeros((LANES, 4)))
+    np.testing.assert_allclose(step.observation[:, 14:], expected, atol=1e-5)
+
+
+def test_a_hull_that_meets_an_obstacle_has_fallen(official):
+    """Upside down, from heights of which some are too great to meet it in the next step."""
+    corners = _stump(official)
+    walkers, ends = [], []
+    for above in np.linspace(0.9, 1.6, LANES):
+        _put(official, 0, corners[:, 0].mean(), corners[:, 1].max() + 2.5)
+        hull = np.array([corners[:, 0].mean(), corners[:, 1].max() + above])
+        centre = np.array(tuple(official.hull.position))
+        for body in (official.hull, *official.legs):
+            body.position = tuple(hull - np.array(tuple(body.position)) + centre)
+            body.angle += np.pi
+            body.linearVelocity = (0, -12)
+        official.step(np.zeros(4))
+        assert not official.game_over
+        walkers.append(copied(official))
+        ends.append(official.step(np.zeros(4))[2])
+    _, step = _tick(_stacked(walkers), np.zeros((LANES, 4)))
+    np.testing.assert_array_equal(step.terminated, ends)
+    assert 0 < sum(ends) < LANES
+
+
+def test_the_pool_plays_on_it_by_seeds():
+    seeds = np.arange(3, dtype=np.uint32)
+    action = np.zeros((3, 4), np.float32)
+    with make_pool("jax", 3, 1, HARDCORE_WALKER) as pool:
+        first = pool.step(np.full(3, Command.RESET), action, seeds).observation
+        assert len(np.unique(first, axis=0)) == 3
+        assert bool(pool.walker(0).terrain.boxes.exist.any())
+        again = pool.step(np.full(3, Command.RESET), action, seeds[[0, 0, 2]]).observation
+        np.testing.assert_array_equal(again, first[[0, 0, 2]])
+        late = jax.device_get(pool.walkers[0])
+        after, step = _tick(
+            dataclasses.replace(late, steps=late.steps + 1998), np.zeros((LANES, 4))
+        )
+        assert not step.truncated.any()
+        assert _tick(after, np.zeros((LANES, 4)))[1].truncated[:3].all()
