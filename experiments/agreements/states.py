@@ -105,8 +105,8 @@ def _quantiles(error: np.ndarray) -> Row:
 
 def _steps(rng: np.random.Generator, env_id: str) -> Iterator[_Seen]:
     """Steps of gymnasium's walker, of several kinds of players."""
-    env: Any = gymnasium.make(env_id, disable_env_checker=True).unwrapped
     for episode in range(_EPISODES):
+        env = _made(env_id)
         observation, _ = env.reset(seed=int(rng.integers(2**31)))
         act = _player(_KINDS[episode % len(_KINDS)], rng)
         for count in range(_STEPS):
@@ -125,10 +125,10 @@ def _rollouts(
 ) -> tuple[Walker, jax.Array, np.ndarray]:
     """Starts [N, ...], actions [T, N, 4], observations [T, N, 24] of walkers that do not fall."""
     steps = 200
-    env: Any = gymnasium.make(env_id, disable_env_checker=True).unwrapped
     starts: list[Walker] = []
     actions, observations = [], []
     while len(starts) < 32:
+        env = _made(env_id)
         observation, _ = env.reset(seed=int(rng.integers(2**31)))
         act = _player("scripted", rng)
         played, seen = [], []
@@ -148,6 +148,11 @@ def _rollouts(
             observations.append(seen)
     moved = np.moveaxis(np.array(observations), 0, 1)
     return _stacked(starts), jnp.asarray(np.moveaxis(np.array(actions), 0, 1)), moved
+
+
+def _made(env_id: str) -> Any:
+    """One for each episode: Box2D's order of contacts depends on what its world held before."""
+    return gymnasium.make(env_id, disable_env_checker=True).unwrapped
 
 
 def _player(kind: str, rng: np.random.Generator) -> Any:
