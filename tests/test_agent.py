@@ -10,8 +10,6 @@ from hitl_jax import acting, replay
 from hitl_jax import agent as agents
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 
-pytestmark = pytest.mark.usefixtures("compiled_in_haste")
-
 
 @functools.cache
 def _probe_agent(learner, n_step=1, layer_norm=False):

@@ -8,8 +8,6 @@ from experiments import brax_ppo
 from experiments.cli import BadInput
 from hitl_jax.walker.brax_env import BipedalWalker
 
-pytestmark = pytest.mark.usefixtures("compiled_in_haste")
-
 WALKERS = 16
 
 

@@ -15,8 +15,6 @@ from hitl_jax.envs import Command, StepBatch, jax_pool
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import LoopConfig, RunSpec
 
-pytestmark = pytest.mark.usefixtures("compiled_in_haste")
-
 _CONFIG = AgentConfig(learner="td3", hidden_sizes=(16,), batch_size=16)
 _HYPER = Hyper(warmup_steps=24, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
 _LOOP = LoopConfig(capacity=256, chunk=8)
@@ -30,7 +28,7 @@ class _Toy:
     steps: jax.Array
 
 
-def _waiting(lanes, device):
+def _waiting(lanes, device, hardcore):
     zeros = jax.device_put(jnp.zeros(lanes, jnp.uint32), device)
     return _Toy(zeros, zeros.astype(jnp.int32))
 

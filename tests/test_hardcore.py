@@ -12,8 +12,6 @@ from hitl_jax.devices import walker_devices
 from hitl_jax.envs import HARDCORE_WALKER, Command, jax_pool, make_pool
 from hitl_jax.walker import copying, parts, terrain
 
-pytestmark = pytest.mark.usefixtures("compiled_in_haste")
-
 LANES = 16
 DRAWS = 12
 

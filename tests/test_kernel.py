@@ -28,8 +28,6 @@ from hitl_jax.walker.rarely import where_needed
 from hitl_jax.walker.terrain import Terrain
 from hitl_jax.walker.thread import cosine, sine
 
-pytestmark = pytest.mark.usefixtures("compiled_in_haste")
-
 _WALKERS = 3
 
 

@@ -15,6 +15,8 @@ from hitl_jax.evaluation import Evaluator, evaluate_run, evaluate_snapshots
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import LoopConfig, RunSpec, episode_seed, num_slots
 
+pytestmark = pytest.mark.usefixtures("compiled_fully")
+
 _CONFIG = AgentConfig(learner="td3", hidden_sizes=(16, 16), batch_size=16, n_step=2)
 _HYPER = Hyper(warmup_steps=64, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
 _LOOP = LoopConfig(capacity=128, chunk=8)  # so small that a run fills it several times

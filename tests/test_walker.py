@@ -20,6 +20,8 @@ from hitl_jax.walker.flat import of_one
 from hitl_jax.walker.rarely import rarely
 from hitl_jax.walker.terrain import Terrain
 
+pytestmark = pytest.mark.usefixtures("compiled_fully")
+
 LANES = 16
 """Of the one program: the least number of walkers of a device."""
 

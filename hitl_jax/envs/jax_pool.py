@@ -17,7 +17,7 @@ from hitl_jax.walker import Step, Walker
 _LANES = 16
 """Walkers of a block are a multiple of this: XLA rounds otherwise where a vector register is not
 full, and an episode's numbers would tell how many walkers there were."""
-_MOST_LANES = 2048
+_MOST_LANES = 512
 """More walkers at once do not fit into a core's cache."""
 
 

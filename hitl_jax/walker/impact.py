@@ -245,12 +245,13 @@ def time_of_impact(sweep: Sweep, near: Near) -> jax.Array:
     Returns:
         Times from 0 to 1; 1 where they do not meet, or overlap to begin with.
     """
-    time = _time_of_impact(sweep, near.edges)
     if near.boxes is None:
-        return time
+        return _time_of_impact(sweep, near.edges)
     # From outside, a box is as far away as the nearest of its sides.
-    of_sides = [_time_of_impact(sweep, sides) for sides in near.boxes.sides()]
-    return jnp.concatenate([time, functools.reduce(jnp.minimum, of_sides)])
+    kinds = [near.edges, *near.boxes.sides()]
+    every: Edges = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *kinds)
+    of_edges, *of_sides = jnp.split(_time_of_impact(sweep, every), len(kinds))
+    return jnp.concatenate([of_edges, functools.reduce(jnp.minimum, of_sides)])
 
 
 def may_meet(end: Pose, near: Near) -> jax.Array:
