@@ -28,8 +28,11 @@ os.environ.setdefault(
 
 # Files go to the workers one by one: what takes long must not be left for the end.
 _LONGEST = (
+    "test_many_machines",
     "test_seed_sweep",
     "test_brax",
+    "test_hardcore",
+    "test_interrupted_runs",
     "test_walker",
     "test_rollout",
     "test_ablation",
