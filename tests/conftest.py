@@ -7,6 +7,8 @@ import tempfile
 
 import pytest
 
+from hitl_jax.flags import have_loops_in_one_kernel
+
 # The devices that learn on a machine of two cores, whatever this one has.
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -19,12 +21,9 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ["JAX_COMPILATION_CACHE_DIR"] = _programs
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
 
-# Compiled in haste: it takes two thirds of the time; as does a walker whose loops are not made one
-# kernel each (see `hitl_jax.flags`; this is XLA's default).
+# Compiled in haste: it takes two thirds of the time.
 os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
-os.environ.setdefault(
-    "XLA_FLAGS", "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1024"
-)
+have_loops_in_one_kernel()  # As in all commands.
 
 # Files go to the workers one by one: what takes long must not be left for the end.
 _LONGEST = (

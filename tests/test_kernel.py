@@ -25,6 +25,7 @@ from hitl_jax.walker import (
 )
 from hitl_jax.walker.plane import Speeds, Vec, pose
 from hitl_jax.walker.rarely import where_needed
+from hitl_jax.walker.sweep import Sweep
 from hitl_jax.walker.terrain import Terrain
 from hitl_jax.walker.thread import cosine, sine
 
@@ -102,7 +103,7 @@ def test_impacts_have_a_thread_for_each_part(now):
     start = Vec(before.place.x[1:], before.place.y[1:])
     end = Vec(start.x + 0.02, start.y - 0.1)
     moved = impact.Moved(
-        sweep=impact.Sweep(start, before.angle[1:], end, before.angle[1:] + 0.1),
+        sweep=Sweep(start, before.angle[1:], end, before.angle[1:] + 0.1),
         done=jnp.zeros((4, _WALKERS)),
         speeds=Speeds(Vec(jnp.ones((4, _WALKERS)), -5 * jnp.ones((4, _WALKERS))), before.spin[1:]),
         contacts=contacts,

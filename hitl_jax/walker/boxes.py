@@ -42,10 +42,14 @@ class Boxes:
         return self.high.x > self.low.x
 
     @property
+    def column(self) -> jax.Array:
+        """The edge of the ground at which each begins, int32."""
+        return jnp.round(self.low.x / parts.TERRAIN_STEP).astype(jnp.int32)
+
+    @property
     def index(self) -> jax.Array:
         """Numbers of the boxes, which edges of the ground do not have, int32."""
-        column = jnp.round(self.low.x / parts.TERRAIN_STEP).astype(jnp.int32)
-        return touch.BEHIND_EDGES + column
+        return touch.BEHIND_EDGES + self.column
 
     @property
     def corners(self) -> Vec:

@@ -29,9 +29,13 @@ _WINDOW = math.ceil(_RAYS[-1][0] / parts.TERRAIN_STEP) + 3
 def _corners(heights: jax.Array, index: jax.Array) -> Vec:
     """Corners of the ground by their places in it, any leading axes and [..., B]."""
     inside = jnp.clip(index, 0, parts.NUM_EDGES)
-    flat = inside.reshape(-1, inside.shape[-1])
-    height = jnp.take_along_axis(heights, flat, axis=0, mode="clip").reshape(index.shape)
-    return Vec(jnp.asarray(parts.CORNER_X)[inside], height)
+    return Vec(jnp.asarray(parts.CORNER_X)[inside], _taken(heights, inside))
+
+
+def _taken(leaf: jax.Array, index: jax.Array) -> jax.Array:
+    """Of each walker's row of the terrain, what stands at some places, [..., B]."""
+    flat = jnp.clip(index, 0, parts.NUM_EDGES).reshape(-1, index.shape[-1])
+    return jnp.take_along_axis(leaf, flat, axis=0, mode="clip").reshape(index.shape)
 
 
 def _edges(heights: jax.Array, index: jax.Array) -> Edges:
@@ -48,14 +52,8 @@ def _boxes(boxes: Boxes | None, index: jax.Array) -> Boxes | None:
     if boxes is None:
         return None
 
-    def taken(leaf: jax.Array) -> jax.Array:
-        inside = jnp.clip(index, 0, parts.NUM_EDGES)
-        flat = inside.reshape(-1, inside.shape[-1])
-        return jnp.take_along_axis(leaf, flat, axis=0, mode="clip").reshape(index.shape)
-
-    near: Boxes = jax.tree.map(taken, boxes)
-    column = jnp.floor(near.low.x / parts.TERRAIN_STEP + 0.5).astype(jnp.int32)
-    begins = (index == column) | (index == index.min(0))
+    near: Boxes = jax.tree.map(lambda leaf: _taken(leaf, index), boxes)
+    begins = (index == near.column) | (index == index.min(0))
     inside = (index >= 0) & (index < parts.NUM_EDGES)
     return Boxes(near.low, where(begins & inside, near.high, near.low))
 

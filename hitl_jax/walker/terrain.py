@@ -171,22 +171,16 @@ class _Spot:
         return jnp.where(self.kind == _STUMP, stump, other)
 
 
-def _plan(
-    pushes: jax.Array,
-    stretches: jax.Array,
-    kinds: jax.Array,
-    stumps: jax.Array,
-    others: jax.Array,
-    rises: jax.Array,
-) -> tuple[jax.Array, Boxes]:
-    """Heights and boxes from what is drawn; see `planned`. Arrays are [TERRAIN_LENGTH, B]."""
+def _plan(pushes: jax.Array, *drawn: jax.Array) -> tuple[jax.Array, Boxes]:
+    """Heights and boxes from what `planned` takes; arrays are [TERRAIN_LENGTH, B]."""
     official = parts.official
 
     def corner(carry: tuple, given: tuple) -> tuple:
         height, velocity, left, begins, spot = carry
-        index, push, stretch, next_kind, stump, other, up = given
+        index, push, stretch, next_kind, stump, other, rises = given
 
-        fresh = _Spot(spot.kind, left, spot.choose(stump, other, other), height, up)
+        size, up = spot.choose(stump, other, other), jnp.where(rises, 1, -1)
+        fresh = _Spot(spot.kind, left, size, height, up)
         spot = jax.tree.map(lambda new, old: jnp.where(begins, new, old), fresh, spot)
         length = spot.choose(spot.size, spot.size * _STAIR_WIDTH, spot.size + 2)
         left = jnp.where(begins & (spot.kind != _GRASS), length, left)
@@ -209,14 +203,14 @@ def _plan(
         return (height, velocity, left, begins, following), (height, spot)
 
     level = jnp.full_like(pushes[0], official.TERRAIN_HEIGHT)
-    none = jnp.zeros_like(kinds[0])
+    none = jnp.zeros(pushes.shape[1:], jnp.int32)
     start = _Spot(none + _GRASS, none, none, level, none + 1)
     pad = none + official.TERRAIN_STARTPAD
     carry = level, jnp.zeros_like(level), pad, jnp.zeros_like(none, bool), start
     index = jnp.arange(parts.TERRAIN_LENGTH, dtype=jnp.int32)
-    given = index, pushes, stretches, kinds, stumps, others, jnp.where(rises, 1, -1)
-    drawn: tuple[jax.Array, _Spot] = jax.lax.scan(corner, carry, given)[1]
-    return drawn[0], _built(drawn[1])
+    passed: tuple[jax.Array, _Spot] = jax.lax.scan(corner, carry, (index, pushes, *drawn))[1]
+    heights, spots = passed
+    return heights, _built(spots)
 
 
 def _built(spot: _Spot) -> Boxes:

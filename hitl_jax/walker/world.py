@@ -16,6 +16,7 @@ from hitl_jax.walker.hinges import Impulses
 from hitl_jax.walker.kernel import as_kernel, on_gpu
 from hitl_jax.walker.plane import Pose, Speeds, Vec, dot, pose, tangent, where
 from hitl_jax.walker.rarely import rarely
+from hitl_jax.walker.sweep import NEAR, Sweep, may_meet
 from hitl_jax.walker.terrain import Terrain
 from hitl_jax.walker.touch import Contacts
 
@@ -87,7 +88,7 @@ def step(world: World, speed: jax.Array, torque: jax.Array, terrain: Terrain) ->
     place, angle = _settle(place, angle, hinge.side, manifold)
 
     moved = impact.Moved(
-        sweep=impact.Sweep(world.place[1:], world.angle[1:], place[1:], angle[1:]),
+        sweep=Sweep(world.place[1:], world.angle[1:], place[1:], angle[1:]),
         done=jnp.zeros_like(angle[1:]),
         speeds=Speeds(speeds.velocity[1:], speeds.spin[1:]),
         contacts=contacts,
@@ -95,9 +96,9 @@ def step(world: World, speed: jax.Array, torque: jax.Array, terrain: Terrain) ->
     )
     ended = pose(place, angle)
     near = ground.near_parts(terrain, legs_left(legs_of(ended)))
-    meets = impact.may_meet(legs_of(ended), near)
+    meets = may_meet(legs_of(ended), near)
     moved = rarely(meets, impact.land, moved, near, num_parts=len(_LEGS))
-    fallen |= _hull_meets(ended, terrain, impact.NEAR)
+    fallen |= _hull_meets(ended, terrain, NEAR)
     return World(
         place=_after_head(place, moved.sweep.end_place),
         angle=jnp.concatenate([angle[:1], moved.sweep.end_turn]),
