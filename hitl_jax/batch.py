@@ -8,8 +8,10 @@ its first run. Each device has its own runs and the same programs: two CPU devic
 busy better than one with two threads, since a small matrix product does not split well.
 
 Acting. One small program for all runs on one device, called once a tick by the host loop, or a part
-of a program for a whole chunk (`hitl_jax.stages` has both). What it remembers, and hyperparameters,
-are packed: each array of a call costs the host time.
+of a program for a whole chunk (`hitl_jax.stages` has both).
+
+Training states, what acting remembers, and hyperparameters are packed, a row of words for each run:
+each array of a call costs the host time, and each that a tile takes and gives costs a kernel.
 """
 
 import dataclasses
@@ -41,15 +43,15 @@ _SOME_HYPER = typed(RunHyper())
 
 
 class Seats(NamedTuple):
-    """Everything on a learning device, leaves [R, ...] but for the cursor.
+    """Everything on a learning device.
 
     Attributes:
-        train: training states.
+        train: training states, packed, uint32 [R, P].
         hyper: hyperparameters, packed, uint32 [R, H].
         memory: the replay.
     """
 
-    train: TrainState
+    train: chex.Array
     hyper: chex.Array
     memory: replay.Replay
 
@@ -75,14 +77,14 @@ class Programs(NamedTuple):
         act: (acting, behavior, observation [R, O], live bool [R]) to (acting, packed [R, W + 6]);
             donates.
         learn: (seats, frames [R, U, W], slots int32 [R], count int32 []) to seats and a copy of
-            what acting needs of them, packed [R, P]; donates. The first `count` of `slots` learn.
-        pack_behavior: training states [R, ...] to what acting needs of them, packed [R, P].
-        seat_behavior: (packed [R, P], slot, row [1, P]) to packed, for a fresh run in `slot`;
+            what acting needs of them, packed [R, B]; donates. The first `count` of `slots` learn.
+        pack_behavior: training states as words [R, P] to what acting needs of them, packed [R, B].
+        seat_behavior: (packed [R, B], slot, row [1, B]) to packed, for a fresh run in `slot`;
             donates.
         unpack_behavior: (packed of each device) to what acting needs of all runs, one device after
             the other.
         boundaries: acting to the carry of each run's boundary source, [R] or [R, K].
-        pack_train: training states [R, ...] as words, uint32 [R, P].
+        unpack_train: (training states as words [R, P], slot) to that of the run in `slot`.
         restore: (seats, slot, training state as words [P], the run's column of the ring [T, W],
             value of the cursor when the run began) to seats with that run in `slot`; donates.
         restore_acting: (acting, slot, acting state as words [S]) to acting; donates.
@@ -93,11 +95,11 @@ class Programs(NamedTuple):
     seat_acting: Callable[..., Acting]
     act: Callable[..., tuple[Acting, chex.Array]]
     learn: Callable[..., tuple[Seats, chex.Array]]
-    pack_behavior: Callable[[TrainState], chex.Array]
+    pack_behavior: Callable[[chex.Array], chex.Array]
     seat_behavior: Callable[..., chex.Array]
     unpack_behavior: Callable[[Sequence[chex.Array]], Behavior]
     boundaries: Callable[[Acting], chex.Array]
-    pack_train: Callable[[TrainState], chex.Array]
+    unpack_train: Callable[..., TrainState]
     restore: Callable[..., Seats]
     restore_acting: Callable[..., Acting]
     begin_ring: Callable[..., Seats]
@@ -134,9 +136,8 @@ def empty_seats(agent: Agent, num_runs: int, capacity: int, device: jax.Device) 
     """
 
     def make() -> Seats:
-        train = agents.init(agent, make_key(0))
         return Seats(
-            train=_rows(train, num_runs),
+            train=_rows(pack(agents.init(agent, make_key(0))), num_runs),
             hyper=_rows(pack(_SOME_HYPER), num_runs),
             memory=replay.init(capacity, num_runs, agent.layout),
         )
@@ -174,15 +175,15 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
 
     def seat(seats: Seats, slot: chex.Array, hyper: RunHyper, key: chex.PRNGKey) -> Seats:
         return Seats(
-            train=_put(seats.train, slot, agents.init(agent, key)),
-            hyper=_put(seats.hyper, slot, pack(hyper)),
+            train=seats.train.at[slot].set(pack(agents.init(agent, key))),
+            hyper=seats.hyper.at[slot].set(pack(hyper)),
             memory=replay.begin_run(seats.memory, slot),
         )
 
     def seat_acting(acting: Acting, slot: chex.Array, hyper: RunHyper, key: chex.PRNGKey) -> Acting:
         return Acting(
-            state=_put(acting.state, slot, pack(init_acting(agent, hyper, key))),
-            hyper=_put(acting.hyper, slot, pack(hyper)),
+            state=acting.state.at[slot].set(pack(init_acting(agent, hyper, key))),
+            hyper=acting.hyper.at[slot].set(pack(hyper)),
         )
 
     # Hyperparameters go in and do not come out.
@@ -210,9 +211,8 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
     def restore(
         seats: Seats, slot: chex.Array, words: chex.Array, ring: chex.Array, start: chex.Array
     ) -> Seats:
-        like = jax.eval_shape(lambda: agents.init(agent, make_key(0)))
         return seats._replace(
-            train=_put(seats.train, slot, unpack(like, words)),
+            train=seats.train.at[slot].set(words),
             memory=replay.restore(seats.memory, slot, ring, start),
         )
 
@@ -231,11 +231,11 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         seat_acting=jax.jit(seat_acting, donate_argnums=0),
         act=act,
         learn=learn,
-        pack_behavior=jax.jit(_pack_behavior),
+        pack_behavior=jax.jit(functools.partial(_pack_behavior, agent)),
         seat_behavior=jax.jit(seat_behavior, donate_argnums=0),
         unpack_behavior=jax.jit(functools.partial(_unpack_behavior, agent)),
         boundaries=jax.jit(boundaries),
-        pack_train=jax.jit(jax.vmap(pack)),
+        unpack_train=jax.jit(lambda words, slot: unpack(_some_train(agent), words[slot])),
         restore=jax.jit(restore, donate_argnums=0),
         restore_acting=jax.jit(restore_acting, donate_argnums=0),
         begin_ring=jax.jit(begin_ring, donate_argnums=0),
@@ -261,20 +261,28 @@ def _some_acting(agent: Agent) -> ActingState:
     return init_acting(agent, _SOME_HYPER, make_key(0))
 
 
+def _some_train(agent: Agent) -> TrainState:
+    """Types and shapes of every run's training state."""
+    like: TrainState = jax.eval_shape(lambda: agents.init(agent, make_key(0)))
+    return like
+
+
 def flat(behavior: Behavior) -> np.ndarray:
-    """One run's row of what `Programs.unpack_behavior` takes, [P]."""
+    """One run's row of what `Programs.unpack_behavior` takes, [B]."""
     return np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(behavior)])
 
 
-def _pack_behavior(train: TrainState) -> chex.Array:
-    leaves = jax.tree.leaves(agents.behavior(train))
+def _pack_behavior(agent: Agent, train: chex.Array) -> chex.Array:
+    """What acting needs of training states [R, P], packed [R, B]."""
+    behavior = agents.behavior(jax.vmap(functools.partial(unpack, _some_train(agent)))(train))
+    leaves = jax.tree.leaves(behavior)
     return jnp.concatenate([leaf.reshape(leaf.shape[0], -1) for leaf in leaves], axis=1)
 
 
 def _unpack_behavior(agent: Agent, packed: Sequence[chex.Array]) -> Behavior:
-    """What acting needs of runs, leaves [R, ...], from arrays of some of them, [.., P]."""
+    """What acting needs of runs, leaves [R, ...], from arrays of some of them, [.., B]."""
     rows = jnp.concatenate(packed)
-    like = agents.behavior(jax.eval_shape(lambda: agents.init(agent, make_key(0))))
+    like = agents.behavior(_some_train(agent))
     leaves, structure = jax.tree.flatten(like)
     ends = np.cumsum([leaf.size for leaf in leaves])
     columns = jnp.split(rows, ends[:-1], axis=1)
@@ -291,69 +299,52 @@ def _learn_all(
     agent: Agent,
     num_updates: int,
     tile: int,
-    learned: tuple[TrainState, replay.Replay],
+    learned: tuple[chex.Array, replay.Replay],
     hyper: chex.Array,
     frames: chex.Array,
     slots: chex.Array,
     count: chex.Array,
-) -> tuple[tuple[TrainState, replay.Replay], chex.Array]:
+) -> tuple[tuple[chex.Array, replay.Replay], chex.Array]:
     before, memory = learned
     memory = replay.add(memory, frames)
     slots = jnp.concatenate([slots, jnp.zeros((tile,), slots.dtype)])
 
     def one(
-        hyper: chex.Array, state: TrainState, memory: replay.Replay, column: chex.Array
-    ) -> TrainState:
-        settings = unpack(_SOME_HYPER, hyper)
-        return agents.learn(agent, settings, state, memory, column, num_updates)
+        hyper: chex.Array, words: chex.Array, memory: replay.Replay, column: chex.Array
+    ) -> chex.Array:
+        settings, state = unpack(_SOME_HYPER, hyper), unpack(_some_train(agent), words)
+        return pack(agents.learn(agent, settings, state, memory, column, num_updates))
 
     several = jax.vmap(one, in_axes=(0, 0, None, 0))
 
-    def learn_tile(index: chex.Array, train: TrainState) -> TrainState:
+    def learn_tile(index: chex.Array, train: chex.Array) -> chex.Array:
         chosen = jax.lax.dynamic_slice_in_dim(slots, index * tile, tile)
         filled = index * tile + jnp.arange(tile) < count
         chosen = jnp.where(filled, chosen, chosen[0])
-        hyper_rows, rows = jax.tree.map(functools.partial(_take, chosen), (hyper, train))
-        after = several(hyper_rows, rows, memory, chosen)
-        return jax.tree.map(functools.partial(_give, chosen), train, after)
+        after = several(_take(chosen, hyper), _take(chosen, train), memory, chosen)
+        return _give(chosen, train, after)
 
     tiles = (count + tile - 1) // tile
     train = jax.lax.fori_loop(0, tiles, learn_tile, before)
-    return (train, memory), _pack_behavior(train)
+    return (train, memory), _pack_behavior(agent, train)
 
 
-def _take(chosen: chex.Array, leaf: chex.Array) -> chex.Array:
-    """Rows of a leaf: few as slices, since on a CPU a gather of rows is many times slower."""
+def _take(chosen: chex.Array, words: chex.Array) -> chex.Array:
+    """Some rows: few as slices, since on a CPU a gather of rows is many times slower."""
     if len(chosen) > _MOST_SLICES:
-        return leaf[chosen]
-    return jnp.stack([leaf[index] for index in chosen])
+        return words[chosen]
+    return jnp.stack([words[index] for index in chosen])
 
 
-def _give(chosen: chex.Array, leaf: chex.Array, rows: chex.Array) -> chex.Array:
-    """The leaf with some rows replaced: few as slices, in place within a loop."""
+def _give(chosen: chex.Array, words: chex.Array, rows: chex.Array) -> chex.Array:
+    """The words with some rows replaced: few as slices, in place within a loop."""
     if len(chosen) > _MOST_SLICES:
-        return leaf.at[chosen].set(rows)
+        return words.at[chosen].set(rows)
     for index, row in zip(chosen, rows, strict=True):
-        leaf = jax.lax.dynamic_update_index_in_dim(leaf, row, index, 0)
-    return leaf
+        words = jax.lax.dynamic_update_index_in_dim(words, row, index, 0)
+    return words
 
 
-def _rows(tree: chex.ArrayTree, num_runs: int) -> chex.ArrayTree:
-    """R copies of one run's pytree."""
-
-    def repeat(leaf: chex.Array) -> chex.Array:
-        leaf = jnp.asarray(leaf)
-        return jnp.broadcast_to(leaf, (num_runs, *leaf.shape))
-
-    return jax.tree.map(repeat, tree)
-
-
-def _put(tree: chex.ArrayTree, slot: chex.Array, row: chex.ArrayTree) -> chex.ArrayTree:
-    """The batch with one run's rows replaced."""
-
-    def put(leaf: chex.Array, value: chex.Array) -> chex.Array:
-        if not jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-            value = jnp.asarray(value, leaf.dtype)
-        return leaf.at[slot].set(value)
-
-    return jax.tree.map(put, tree, row)
+def _rows(words: chex.Array, num_runs: int) -> chex.Array:
+    """R copies of one run's row."""
+    return jnp.broadcast_to(words, (num_runs, *words.shape))

@@ -41,7 +41,7 @@ from hitl_jax.runs import (
 )
 from hitl_jax.saved import SavedRun, between_episodes, bring_back, facts_of, require_shapes
 from hitl_jax.stages import Slots, finite_rows, make_stage
-from hitl_jax.types import Behavior, Params
+from hitl_jax.types import Behavior, TrainState
 
 LAG = 2
 """Calls of the learner that may be under way while the walkers play; see the module."""
@@ -116,11 +116,7 @@ class Rollout:
         )
         self._feedback = np.zeros(slots)
         self._has_arbiter = np.zeros(slots, bool)
-        self._take = jax.jit(
-            lambda tree, column: jax.tree.map(
-                lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, column, 1), tree
-            )
-        )
+        self._row = jax.jit(lambda rows, column: jax.lax.dynamic_slice_in_dim(rows, column, 1))
         self._seat_all(self._slot_order())
 
     def __iter__(self) -> Iterator[list[FinishedRun]]:
@@ -150,9 +146,7 @@ class Rollout:
 
     def collect(self, run: Run) -> FinishedRun:
         """What a run has become so far; for a run that is seated."""
-        device, _ = divmod(run.slot, self._share)
-        train = dataclasses.replace(self._seats[device].train, key=None)
-        return FinishedRun(run, self._fetch(train, run), self._boundary_of(run))
+        return FinishedRun(run, self._train_of(run), self._boundary_of(run))
 
     def save(self) -> list[SavedRun]:
         """The runs that are under way, have just ended, or were saved and wait for a slot.
@@ -160,7 +154,7 @@ class Rollout:
         Between two chunks; waits for the learner; only with `saved` given at the start. The frames
         are those since the runs were saved before.
         """
-        words = [np.asarray(self._programs.pack_train(seats.train)) for seats in self._seats]
+        words = [np.array(seats.train) for seats in self._seats]
         learned = [[np.asarray(part) for part in waiting] for waiting in self._learned]
         acting = self._stage.words()
         recent = np.concatenate(self._recent, axis=1)
@@ -190,7 +184,7 @@ class Rollout:
 
     def wait(self) -> None:
         """Returns when the learner has nothing left to do."""
-        jax.block_until_ready([seats.train.learner for seats in self._seats])
+        jax.block_until_ready([seats.train for seats in self._seats])
 
     def _replace(self, ended: Sequence[Run]) -> None:
         """Gives the slots of runs that have ended to others."""
@@ -225,7 +219,7 @@ class Rollout:
         device, column = divmod(slot, self._share)
         self._seats[device] = self._programs.seat(self._seats[device], column, hyper, learning)
         self._stage.seat(slot, hyper, acting)
-        fresh = self._programs.pack_behavior(self._take(self._seats[device].train, column))
+        fresh = self._programs.pack_behavior(self._row(self._seats[device].train, column))
         for waiting in self._learned:
             waiting[device] = self._programs.seat_behavior(waiting[device], column, fresh)
         self._runs[slot] = run = Run(spec=spec, slot=slot)
@@ -278,7 +272,7 @@ class Rollout:
     def _check_fit(self, saved: SavedRun) -> None:
         """Raises CannotReturn unless the arrays are as this agent's are."""
         learned = jax.eval_shape(self._programs.pack_behavior, self._seats[0].train).shape[1]
-        words = jax.eval_shape(self._programs.pack_train, self._seats[0].train).shape[1]
+        words = self._seats[0].train.shape[1]
         totals, alarms = self._counter.state_of(0)
         expected = {
             "train": (words,),
@@ -306,15 +300,15 @@ class Rollout:
         left = run.spec.snapshots[len(run.snapshots) :]
         due = [episode for episode in left if episode <= len(run.episodes) or run.diverged]
         if due:
-            device, _ = divmod(run.slot, self._share)
-            learned = self._fetch(behavior(self._seats[device].train), run)
-            boundary = self._boundary_of(run)
+            learned, boundary = behavior(self._train_of(run)), self._boundary_of(run)
             run.snapshots += [Snapshot(episode, learned, boundary) for episode in due]
 
-    def _fetch(self, tree: Params, run: Run) -> Params:
-        """A run's part of its device's tree, as NumPy arrays."""
-        _, column = divmod(run.slot, self._share)
-        return jax.tree.map(lambda leaf: leaf[0], jax.device_get(self._take(tree, column)))
+    def _train_of(self, run: Run) -> TrainState:
+        """A run's training state as NumPy arrays, without its key."""
+        device, column = divmod(run.slot, self._share)
+        train = self._programs.unpack_train(self._seats[device].train, column)
+        fetched: TrainState = jax.device_get(dataclasses.replace(train, key=None))
+        return fetched
 
     def _boundary_of(self, run: Run) -> np.ndarray:
         return self._stage.boundaries()[run.slot]

@@ -45,8 +45,8 @@ def _learn(runs, tile, skip=(), device=0):
     slots[: len(listed)] = listed
     for call in range(2):
         seats, _ = programs.learn(seats, _frames(runs, call), slots, np.int32(len(listed)))
-    train = jax.device_get((seats.train.learner, seats.train.boundary))
-    return {run: jax.tree.map(lambda leaf, s=slot: leaf[s], train) for slot, run in enumerate(runs)}
+    after = {run: programs.unpack_train(seats.train, slot) for slot, run in enumerate(runs)}
+    return {run: jax.device_get((train.learner, train.boundary)) for run, train in after.items()}
 
 
 def _empty(num_runs, device=0):

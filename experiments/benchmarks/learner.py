@@ -15,7 +15,6 @@ from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.devices import default_tile, learning_devices
 from hitl_jax.keys import make_key
 from hitl_jax.runs import LoopConfig, num_slots
-from hitl_jax.types import Params
 
 PRODUCT_SIZE = 2048
 RUNS = 30
@@ -79,7 +78,7 @@ def make_learner(
     num_updates: int,
     tile: int | None = None,
     loop: LoopConfig = _LOOP,
-) -> Callable[[], list[Params]]:
+) -> Callable[[], list[jax.Array]]:
     """A call that makes `num_updates` updates of each run, from a full replay.
 
     Args:
@@ -108,10 +107,10 @@ def make_learner(
     frames = past[:, : loop.chunk].copy()
     slots = np.arange(share, dtype=np.int32)
 
-    def learn() -> list[Params]:
+    def learn() -> list[jax.Array]:
         for index, before in enumerate(seats):
             seats[index], _ = programs.learn(before, frames, slots, np.int32(share))
-        return [after.train.learner.actor for after in seats]
+        return [after.train for after in seats]
 
     return learn
 
