@@ -12,6 +12,7 @@ from rich.table import Table
 from hitl_jax.runs import Run
 
 _REFRESH_SECONDS = 1.0
+_FIRST_LINE_SECONDS = 5.0
 _LINE_SECONDS = 30.0
 _RATE_SECONDS = 60.0
 
@@ -19,7 +20,8 @@ _RATE_SECONDS = 60.0
 class Progress:
     """Runs done, episodes, steps, rate, time left and the latest return of each method.
 
-    On a terminal a table that is redrawn; elsewhere a line every half minute.
+    On a terminal a table that is redrawn; elsewhere lines, the first ones soon, then one every half
+    minute.
     """
 
     def __init__(self, methods: Sequence[str], num_runs: int, episodes: int, done: int):
@@ -38,7 +40,8 @@ class Progress:
         self._finished: list[Run] = []
         self._console = Console()
         self._live = Live(console=self._console, auto_refresh=False, transient=True)
-        self._shown = -float("inf")
+        self._begun: float | None = None
+        self._due = -float("inf")
         self._history: list[tuple[float, int, int]] = []
 
     def __enter__(self) -> "Progress":
@@ -67,10 +70,12 @@ class Progress:
             running: the runs under way.
         """
         now = time.monotonic()
-        terminal = self._console.is_terminal
-        if now - self._shown < (_REFRESH_SECONDS if terminal else _LINE_SECONDS):
+        if now < self._due:
             return
-        self._shown = now
+        self._begun = now if self._begun is None else self._begun
+        terminal = self._console.is_terminal
+        pause = min(max(now - self._begun, _FIRST_LINE_SECONDS), _LINE_SECONDS)
+        self._due = now + (_REFRESH_SECONDS if terminal else pause)
         runs = [*self._finished, *(run for run in running if not run.done)]
         episodes = sum(len(run.episodes) for run in runs)
         steps = sum(run.env_steps for run in runs)

@@ -358,19 +358,21 @@ def test_a_line_that_the_disk_refuses_leaves_nothing(tmp_path, monkeypatch):
 
 def test_ten_minutes_killed_at_any_moment_play_again(tmp_path):
     """Of a walker's time: 30,000 frames. The checksums of all chunks are compared as it plays."""
-    whole, cut = tmp_path / "whole.jsonl", tmp_path / "cut.jsonl"
+    path, chance = tmp_path / "journal.jsonl", np.random.default_rng()
     # It learns a little, to end sooner.
     setup = setup_of(loop=LoopConfig(capacity=512, chunk=64, updates_per_step=1 / 32))
-    session, noted = Session(setup), _begun(whole)
-    _act_upon(noted, session, 30_000, np.random.default_rng(3), share=0.02)
+    session, noted = Session(setup), _begun(path)
+    moment = int(chance.integers(1, 30_001))
+    _act_upon(noted, session, moment, np.random.default_rng(3), share=0.02)
     noted.close()
-    written = whole.read_bytes()
-    moment = int(np.random.default_rng().integers(written.index(b"\n") + 1, len(written)))
-    cut.write_bytes(written[:moment])
-    print(f"killed as byte {moment} was written")  # Shown where it fails.
-    _, lines = journal.read(cut)
+    written = path.read_bytes()
+    first = max(written.index(b"\n") + 1, len(written) - 200)
+    kept = int(chance.integers(first, len(written) + 1))
+    path.write_bytes(written[:kept])
+    print(f"killed at frame {moment}, as byte {kept} was written")  # Shown where it fails.
+    _, lines = journal.read(path)
     again = Session(setup)
-    list(journal.play(again, lines, cut))
+    list(journal.play(again, lines, path))
     assert again.frame.number == (lines[-1]["at"] if lines else 0)
 
 
