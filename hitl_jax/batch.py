@@ -72,15 +72,17 @@ class Programs(NamedTuple):
     """The compiled programs of one batch of runs.
 
     Attributes:
-        seat: (seats, slot, hyper, key) to seats with a fresh run in `slot`; donates.
+        begin: key to the training state of a fresh run, as words [P], and what acting needs of it,
+            packed [B]; one program for all devices, since it takes long to compile.
+        seat: (seats, slot, hyper, training state as words [P]) to seats with a fresh run in `slot`;
+            donates.
         seat_acting: (acting, slot, hyper, key) to acting with a fresh run in `slot`; donates.
         act: (acting, behavior, observation [R, O], live bool [R]) to (acting, packed [R, W + 6]);
             donates.
         learn: (seats, frames [R, U, W], slots int32 [R], count int32 []) to seats and a copy of
             what acting needs of them, packed [R, B]; donates. The first `count` of `slots` learn.
         pack_behavior: training states as words [R, P] to what acting needs of them, packed [R, B].
-        seat_behavior: (packed [R, B], slot, row [1, B]) to packed, for a fresh run in `slot`;
-            donates.
+        seat_behavior: (packed [R, B], slot, row [B]) to packed, for a fresh run in `slot`; donates.
         unpack_behavior: (packed of each device) to what acting needs of all runs, one device after
             the other.
         boundaries: acting to the carry of each run's boundary source, [R] or [R, K].
@@ -91,6 +93,7 @@ class Programs(NamedTuple):
         begin_ring: (seats, value) to seats whose rings have their cursor there; donates.
     """
 
+    begin: Callable[[chex.PRNGKey], tuple[chex.Array, chex.Array]]
     seat: Callable[..., Seats]
     seat_acting: Callable[..., Acting]
     act: Callable[..., tuple[Acting, chex.Array]]
@@ -136,8 +139,9 @@ def empty_seats(agent: Agent, num_runs: int, capacity: int, device: jax.Device) 
     """
 
     def make() -> Seats:
+        some = jax.eval_shape(pack, _some_train(agent))
         return Seats(
-            train=_rows(pack(agents.init(agent, make_key(0))), num_runs),
+            train=jnp.zeros((num_runs, *some.shape), some.dtype),
             hyper=_rows(pack(_SOME_HYPER), num_runs),
             memory=replay.init(capacity, num_runs, agent.layout),
         )
@@ -173,9 +177,13 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         tile: runs that are vmapped together; fewer keep the cache, more feed a GPU.
     """
 
-    def seat(seats: Seats, slot: chex.Array, hyper: RunHyper, key: chex.PRNGKey) -> Seats:
+    def begin(key: chex.PRNGKey) -> tuple[chex.Array, chex.Array]:
+        words = pack(agents.init(agent, key))
+        return words, _pack_behavior(agent, words[None])[0]
+
+    def seat(seats: Seats, slot: chex.Array, hyper: RunHyper, words: chex.Array) -> Seats:
         return Seats(
-            train=seats.train.at[slot].set(pack(agents.init(agent, key))),
+            train=seats.train.at[slot].set(words),
             hyper=seats.hyper.at[slot].set(pack(hyper)),
             memory=replay.begin_run(seats.memory, slot),
         )
@@ -224,9 +232,10 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         return acting._replace(state=acting.state.at[slot].set(words))
 
     def seat_behavior(packed: chex.Array, slot: chex.Array, row: chex.Array) -> chex.Array:
-        return packed.at[slot].set(row[0])
+        return packed.at[slot].set(row)
 
     return Programs(
+        begin=jax.jit(begin),
         seat=jax.jit(seat, donate_argnums=0),
         seat_acting=jax.jit(seat_acting, donate_argnums=0),
         act=act,

@@ -116,7 +116,6 @@ class Rollout:
         )
         self._feedback = np.zeros(slots)
         self._has_arbiter = np.zeros(slots, bool)
-        self._row = jax.jit(lambda rows, column: jax.lax.dynamic_slice_in_dim(rows, column, 1))
         self._seat_all(self._slot_order())
 
     def __iter__(self) -> Iterator[list[FinishedRun]]:
@@ -217,9 +216,9 @@ class Rollout:
         learning, acting, _ = batch.run_keys(spec.seed, method_index(spec.method))
         hyper = typed(spec.hyper)
         device, column = divmod(slot, self._share)
-        self._seats[device] = self._programs.seat(self._seats[device], column, hyper, learning)
+        train, fresh = jax.device_get(self._programs.begin(learning))
+        self._seats[device] = self._programs.seat(self._seats[device], column, hyper, train)
         self._stage.seat(slot, hyper, acting)
-        fresh = self._programs.pack_behavior(self._row(self._seats[device].train, column))
         for waiting in self._learned:
             waiting[device] = self._programs.seat_behavior(waiting[device], column, fresh)
         self._runs[slot] = run = Run(spec=spec, slot=slot)
@@ -249,7 +248,7 @@ class Rollout:
         self._seats[device] = self._programs.restore(seats, column, saved.train, ring, start)
         self._stage.restore(slot, saved.acting)
         for waiting, row in zip(self._learned, saved.behavior, strict=True):
-            waiting[device] = self._programs.seat_behavior(waiting[device], column, row[None])
+            waiting[device] = self._programs.seat_behavior(waiting[device], column, row)
         facts = saved.facts
         run.episodes = list(facts["episodes"])
         run.ticks, run.env_steps, run.updates = (

@@ -39,7 +39,8 @@ def _learn(runs, tile, skip=(), device=0):
     seats = _empty(len(runs), device)
     programs = batch.make_programs(_AGENT, _UPDATES, tile)
     for slot, run in enumerate(runs):
-        seats = programs.seat(seats, slot, _hyper(run), make_key(run))
+        train, _ = jax.device_get(programs.begin(make_key(run)))
+        seats = programs.seat(seats, slot, _hyper(run), train)
     listed = [slot for slot, run in enumerate(runs) if run not in skip]
     slots = np.zeros(len(runs), np.int32)
     slots[: len(listed)] = listed

@@ -102,7 +102,8 @@ def make_learner(
     for device in learning_devices():
         empty = batch.empty_seats(agent, share, loop.frames, device)
         for column in range(share):
-            empty = programs.seat(empty, column, hyper, make_key(column))
+            train, _ = jax.device_get(programs.begin(make_key(column)))
+            empty = programs.seat(empty, column, hyper, train)
         seats.append(empty._replace(memory=add(empty.memory, past)))
     frames = past[:, : loop.chunk].copy()
     slots = np.arange(share, dtype=np.int32)
