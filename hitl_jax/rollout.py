@@ -153,6 +153,7 @@ class Rollout:
         Between two chunks; waits for the learner; only with `saved` given at the start. The frames
         are those since the runs were saved before.
         """
+        # Copies: with a view of it about, the learner could not change the array in place.
         words = [np.array(seats.train) for seats in self._seats]
         learned = [[np.asarray(part) for part in waiting] for waiting in self._learned]
         acting = self._stage.words()
