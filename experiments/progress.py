@@ -40,7 +40,6 @@ class Progress:
         self._finished: list[Run] = []
         self._console = Console()
         self._live = Live(console=self._console, auto_refresh=False, transient=True)
-        self._begun: float | None = None
         self._due = -float("inf")
         self._history: list[tuple[float, int, int]] = []
 
@@ -72,16 +71,15 @@ class Progress:
         now = time.monotonic()
         if now < self._due:
             return
-        self._begun = now if self._begun is None else self._begun
-        terminal = self._console.is_terminal
-        pause = min(max(now - self._begun, _FIRST_LINE_SECONDS), _LINE_SECONDS)
-        self._due = now + (_REFRESH_SECONDS if terminal else pause)
         runs = [*self._finished, *(run for run in running if not run.done)]
         episodes = sum(len(run.episodes) for run in runs)
         steps = sum(run.env_steps for run in runs)
         self._history.append((now, episodes, steps))
         while self._history[-1][0] - self._history[0][0] > _RATE_SECONDS:
             self._history.pop(0)
+        terminal = self._console.is_terminal
+        pause = min(max(now - self._history[0][0], _FIRST_LINE_SECONDS), _LINE_SECONDS)
+        self._due = now + (_REFRESH_SECONDS if terminal else pause)
         headline = self._headline(episodes, steps)
         if terminal:
             self._live.update(self._table(headline, runs), refresh=True)

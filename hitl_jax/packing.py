@@ -1,4 +1,4 @@
-"""A pytree of scalars and short vectors as one array of words.
+"""A pytree as one array of words.
 
 Each array that a compiled program takes or gives costs the host's thread some microseconds, at
 every tick. Words are bit patterns: nothing is rounded.

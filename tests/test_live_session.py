@@ -357,7 +357,7 @@ def test_a_line_that_the_disk_refuses_leaves_nothing(tmp_path, monkeypatch):
 
 
 def test_ten_minutes_killed_at_any_moment_play_again(tmp_path):
-    """Of a walker's time: 30,000 frames. The checksums of all chunks are compared as it plays."""
+    """At a random one of 30,000 frames. The checksums of all chunks are compared as it plays."""
     path, chance = tmp_path / "journal.jsonl", np.random.default_rng()
     # It learns a little, to end sooner.
     setup = setup_of(loop=LoopConfig(capacity=512, chunk=64, updates_per_step=1 / 32))
