@@ -66,7 +66,14 @@ def recorded_steps(decided: np.ndarray, layout: Layout, has_arbiter: np.ndarray)
         layout: its columns.
         has_arbiter: whether there is a boundary, bool [R].
     """
-    flags = flags_of(decided, layout)
-    told = {"boundary": np.where(has_arbiter, decided[:, layout.boundary], np.nan), **flags}
-    columns = [told[name] for name in STEP_COLUMNS]
-    return np.column_stack([decided[:, layout.action], *columns]).astype(np.float32)
+    steps = decided[:, _recorded_columns(layout)]
+    steps[~has_arbiter, layout.action_size + STEP_COLUMNS.index("boundary")] = np.nan
+    return steps
+
+
+@functools.cache
+def _recorded_columns(layout: Layout) -> list[int]:
+    """Where a recorded step stands in what acting gave."""
+    flags = {name: layout.width + place for place, name in enumerate(EXTRA_COLUMNS)}
+    places = {"boundary": layout.boundary, **flags}
+    return [*range(layout.width)[layout.action], *(places[name] for name in STEP_COLUMNS)]

@@ -19,13 +19,17 @@ class EpisodeLog:
         """
         self._steps = np.zeros((num_walkers, 0, width), np.float32)
         self._length = np.zeros(num_walkers, int)
+        self._walkers = np.arange(num_walkers)
 
     def add(self, live: np.ndarray, steps: np.ndarray) -> None:
         """Notes the steps [N, W] of the walkers that take one, bool [N]."""
-        self._make_room(self._length.max() + 1)
-        walkers = np.flatnonzero(live)
-        self._steps[walkers, self._length[walkers]] = steps[walkers]
-        self._length[walkers] += 1
+        try:
+            # For all walkers alike: what lies behind an episode's end is not read.
+            self._steps[self._walkers, self._length] = steps
+        except IndexError:
+            self._make_room(self._length.max() + 1)
+            self._steps[self._walkers, self._length] = steps
+        self._length += live
 
     def begin(self, walker: int, steps: np.ndarray | None = None) -> None:
         """Forgets a walker's episode; `steps` [T, W] are those of the one it is in."""

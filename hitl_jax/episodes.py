@@ -136,7 +136,7 @@ class EpisodeCounter:
         )
         np.add(self._totals, added, out=self._totals, where=live)
         ended = live & (step.terminated | step.truncated | step.human_reset)
-        return [(int(walker), self._finish(int(walker), step)) for walker in np.flatnonzero(ended)]
+        return [(int(walker), self._finish(int(walker), step)) for walker in ended.nonzero()[0]]
 
     def _finish(self, walker: int, step: Step) -> Row:
         totals = dict(zip(_COUNTS, self._totals[:, walker].tolist(), strict=True))

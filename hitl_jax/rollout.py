@@ -319,7 +319,7 @@ class Rollout:
         slots = self._slots
         for place, tick in enumerate(self._stage.ticks(slots, self._config.chunk)):
             live, decided = slots.live, tick.decided
-            if not np.isfinite(decided[live]).all():
+            if not np.isfinite(decided).all():
                 for name in decisions.CHECKED_COLUMNS:
                     part = decided[:, getattr(self._layout, name)]
                     self._stop_diverged(name, finite_rows(part) | ~live)

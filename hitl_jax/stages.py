@@ -147,7 +147,7 @@ class HostStage:
     def prepare(self, packed: list[jax.Array]) -> np.ndarray:
         """See `Stage`."""
         self._behavior = self._programs.unpack_behavior(jax.device_put(packed, self._device))
-        return finite_rows(*jax.tree.leaves(self._behavior))
+        return np.concatenate([finite_rows(rows) for rows in packed])
 
     def ticks(self, slots: Slots, count: int) -> Iterator[Tick]:
         """See `Stage`."""

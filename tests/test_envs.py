@@ -15,7 +15,7 @@ import pytest
 
 from hitl_jax.envs import BACKENDS, Command, StepBatch, make_pool
 
-IDLE, STEP, RESET = Command
+IDLE, STEP, RESET = Command.IDLE, Command.STEP, Command.RESET
 TOY = "test_envs:Toy-v0"
 GOAL = 5  # step at which the toy terminates
 RAISE, DIE = 7.0, 8.0  # actions that break the toy

@@ -20,6 +20,7 @@ from hitl_jax.envs.shared import SIZES, map_arrays, num_bytes
 from hitl_jax.episode_log import EpisodeLog, playback
 
 _CLOSE_SECONDS = 5.0
+_LOOK_AFTER_SECONDS = 0.1
 _LOG_BYTES = 8192
 _ATTEMPTS = 5
 """To play a tick again in which a worker was killed; some walkers would kill it each time."""
@@ -58,6 +59,12 @@ class _Worker:
     process: subprocess.Popen[bytes]
     reply: int
     log: IO[bytes]
+
+    def has_answered(self, seconds: float) -> bool:
+        """Whether there is something to read, or will be so soon; also where its pipe is closed."""
+        poll = select.poll()
+        poll.register(self.reply, select.POLLIN)
+        return bool(poll.poll(1000 * seconds))
 
     def fate(self) -> str:
         """How it ended, in one line."""
@@ -203,9 +210,6 @@ class WorkerPool(CheckedPool):
             self._workers.insert(0, worker)
             if following is not None:
                 following.close()
-        self._poll = select.poll()
-        for worker in self._workers:
-            self._poll.register(worker.reply, select.POLLIN)
         answers = self._replies(SIZES.size, time.monotonic() + self._start_seconds)
         return SIZES.unpack(answers)
 
@@ -219,31 +223,34 @@ class WorkerPool(CheckedPool):
         Raises:
             WalkerError: if a worker died, or the deadline passed.
         """
-        waiting = {worker.reply: worker for worker in self._workers}
-        by_reply = dict(waiting)
         answer = b""
+        waiting = list(self._workers)
         while waiting:
-            # The pipe of a dead worker wakes us. Should another process hold its other end (a fork
-            # of ours), it does not; so look after them each second.
-            events = self._poll.poll(1000 * min(1.0, max(0.0, deadline - time.monotonic())))
-            for reply, _ in events:
-                answer = os.read(reply, size)
-                if not answer:
-                    self._fail(by_reply[reply])
-                waiting.pop(reply, None)
-            if waiting and not events:
-                for worker in waiting.values():
-                    if worker.process.poll() is not None:
-                        self._fail(worker)
+            # The last to begin is the last to end, as a rule: so we are woken once a tick.
+            worker = waiting[-1]
+            # A pipe of a dead worker wakes us; but not of another worker than the one waited for,
+            # nor while another process (a fork of ours) holds its other end.
+            while not worker.has_answered(_LOOK_AFTER_SECONDS):
+                for each in self._workers:
+                    if each.process.poll() is not None:
+                        self._fail(each)
                 if time.monotonic() >= deadline:
-                    late = f"{len(waiting)} of {len(by_reply)}"
-                    raise WalkerError(f"{late} walker processes did not come up in time")
+                    late = sum(not each.has_answered(0.0) for each in waiting)
+                    told = f"{late} of {len(self._workers)} walker processes"
+                    raise WalkerError(f"{told} did not come up in time")
+            answer = os.read(worker.reply, size)
+            if not answer:
+                self._fail(worker)
+            waiting.pop()
         return answer
 
     def _fail(self, worker: _Worker) -> NoReturn:
         """Raises for a worker that ended by itself."""
-        number = f"{worker.index + 1} of {len(self._workers)}"
         fate = worker.fate()
+        if worker.process.returncode == 0 and worker.index > 0:
+            # It ended since nobody could wake it any more: the one before it is gone.
+            self._fail(self._workers[worker.index - 1])
+        number = f"{worker.index + 1} of {len(self._workers)}"
         kind = (
             _Killed if worker.process.returncode and worker.process.returncode < 0 else WalkerError
         )

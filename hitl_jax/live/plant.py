@@ -65,7 +65,7 @@ class Plant:
         self._arrays.action[0] = action
         return self._tick(Command.STEP)
 
-    def _tick(self, command: Command) -> Answer:
+    def _tick(self, command: int) -> Answer:
         arrays = self._arrays
         arrays.command[0] = command
         self._walkers.tick(arrays)
