@@ -71,7 +71,9 @@ class Progress:
         now = time.monotonic()
         if now < self._due:
             return
-        runs = [*self._finished, *(run for run in running if not run.done)]
+        finished = {run.spec.key for run in self._finished}
+        left = [run for run in running if run.spec.key not in finished]
+        runs = [*self._finished, *left]
         episodes = sum(len(run.episodes) for run in runs)
         steps = sum(run.env_steps for run in runs)
         self._history.append((now, episodes, steps))
@@ -80,7 +82,7 @@ class Progress:
         terminal = self._console.is_terminal
         pause = min(max(now - self._history[0][0], _FIRST_LINE_SECONDS), _LINE_SECONDS)
         self._due = now + (_REFRESH_SECONDS if terminal else pause)
-        headline = self._headline(episodes, steps)
+        headline = self._headline(episodes, steps, sum(run.done for run in left))
         if terminal:
             self._live.update(self._table(headline, runs), refresh=True)
         else:
@@ -90,12 +92,13 @@ class Progress:
     def _of(self, method: str, runs: Sequence[Run]) -> list[Run]:
         return [run for run in runs if run.spec.method == method]
 
-    def _headline(self, episodes: int, steps: int) -> str:
+    def _headline(self, episodes: int, steps: int, in_tests: int) -> str:
         (then, episodes_then, steps_then), (now, *_) = self._history[0], self._history[-1]
         seconds = max(now - then, 1e-9)
         done = self._done + len(self._finished)
         total = (self._num_runs - self._done) * self._episodes
-        line = f"runs {done}/{self._num_runs}  episodes {episodes}/{total}  steps {steps:,}"
+        tests = f" and {in_tests} in tests" if in_tests else ""
+        line = f"runs {done}/{self._num_runs}{tests}  episodes {episodes}/{total}  steps {steps:,}"
         if episodes == episodes_then:
             return line
         left = (total - episodes) * seconds / (episodes - episodes_then)

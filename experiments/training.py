@@ -13,7 +13,7 @@ from hitl_jax.agent import Agent, make_agent
 from hitl_jax.config import AgentConfig, Method
 from hitl_jax.envs import WalkerPool, make_pool, num_cores
 from hitl_jax.episodes import Row
-from hitl_jax.evaluation import Evaluator, Mode, evaluate_run, evaluate_snapshots
+from hitl_jax.evaluation import Mode, evaluate_runs, make_examiner, num_test_walkers
 from hitl_jax.human import HumanPart
 from hitl_jax.networks import Actor
 from hitl_jax.provenance import git_commit, processor, versions
@@ -149,6 +149,8 @@ def train_and_test(
     """
     _, agent, specs, loop, plant = batch
     machine, commit = f"{processor()}, {num_cores()} cores", git_commit() or "unknown"
+    cores = plant.workers or num_cores()
+    test_walkers = num_test_walkers(plant.backend, plant.test_episodes, len(specs), cores)
 
     def pool_of(phase: str, walkers: int) -> WalkerPool:
         # For EnvPool, whose walkers cannot be seeded one by one: other runs, other seed.
@@ -157,24 +159,30 @@ def train_and_test(
         seed = episode_seed(phase, *runs, begun) >> 1
         return make_pool(plant.backend, walkers, plant.workers, seed=seed)
 
-    with (
-        pool_of("train", batch.slots) as pool,
-        pool_of("test", plant.test_episodes) as test_pool,
-    ):
-        evaluator = Evaluator(agent, test_pool)
+    with pool_of("train", batch.slots) as pool, pool_of("test", test_walkers) as test_pool:
+        examiner = make_examiner(agent, test_pool, plant.test_episodes)
         rollout = Rollout(agent, specs, pool, loop, saved=saved)
         chunks = iter(rollout)
         first = next(chunks)  # Compiles; nothing is lost if it is interrupted.
         with deferred_interrupts() as interrupted:
-            for done in itertools.chain([first], chunks):
-                for finished in done:
-                    modes = _modes(finished.run.spec.method)
-                    tests = evaluate_run(evaluator, finished, modes, lambda *_: interrupted())
-                    progress = evaluate_snapshots(evaluator, finished.run, lambda *_: interrupted())
-                    took = time.monotonic() - finished.run.started
-                    yield Tested(finished, tests, progress, took, machine, versions(), commit)
+
+            def between() -> None:
                 watch(rollout)
                 interrupted()
+
+            untested: list[FinishedRun] = []
+            for done in itertools.chain([first], chunks):
+                untested += done
+                rollout.hold(done)
+                most = examiner.num_runs
+                while len(untested) >= most or (untested and rollout.waits()):
+                    some, untested = untested[:most], untested[most:]
+                    told = evaluate_runs(examiner, some, _modes, between)
+                    for finished, (tests, progress) in zip(some, told, strict=True):
+                        took = time.monotonic() - finished.run.started
+                        yield Tested(finished, tests, progress, took, machine, versions(), commit)
+                    rollout.release(some)
+                between()
 
 
 def _modes(method: Method) -> tuple[Mode, ...]:

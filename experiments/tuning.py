@@ -23,7 +23,7 @@ from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require
 from hitl_jax.envs import make_pool
 from hitl_jax.episodes import FALL_REWARD
-from hitl_jax.evaluation import Evaluator, evaluate_run
+from hitl_jax.evaluation import Evaluator, evaluate_runs
 from hitl_jax.provenance import git_commit, short_commit
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import FinishedRun, LoopConfig, Run, RunSpec, num_slots
@@ -178,8 +178,9 @@ def _measure(
             stages += [end] * (_STAGES - len(stages))
         evaluator = Evaluator(agent, test_pool)
         left = [rollout.collect(run) for run in rollout.runs() if not run.done]
-        for run in [*left, *lost]:
-            rows = evaluate_run(evaluator, run, ("autonomous",))
+        ended = [*left, *lost]
+        told = evaluate_runs(evaluator, ended, lambda _: ("autonomous",))
+        for run, (rows, _) in zip(ended, told, strict=True):
             tests[run.run.spec.method].append(float(np.mean([row["return"] for row in rows])))
     return stages, tests
 

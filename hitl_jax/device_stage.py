@@ -1,21 +1,20 @@
-"""A chunk of ticks as one program on the device: acting, walkers and all between them."""
+"""The stage whose walkers are on the device: a chunk of ticks is one program."""
 
 import dataclasses
 import functools
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax import batch, decisions
+from hitl_jax import batch, device_chunk
 from hitl_jax.agent import Agent
 from hitl_jax.batch import Programs
 from hitl_jax.config import RunHyper
-from hitl_jax.envs import Command, StepBatch
-from hitl_jax.envs.jax_pool import Block, JaxPool, tick
+from hitl_jax.envs import StepBatch
+from hitl_jax.envs.jax_pool import Block, JaxPool
 from hitl_jax.stages import Slots, Tick
 from hitl_jax.types import Behavior
 
@@ -133,8 +132,8 @@ def _play(
     walkers: chex.ArrayTree,
     behavior: Behavior,
     known: tuple[chex.Array, ...],
-) -> tuple[chex.Array, chex.ArrayTree, tuple[chex.Array, ...]]:
-    """A chunk of ticks of B runs; `walkers` may be more, which stay idle.
+) -> tuple[chex.ArrayTree, chex.ArrayTree, tuple[chex.Array, ...]]:
+    """A chunk of ticks of B runs; see `device_chunk.play`.
 
     Args:
         agent: the team.
@@ -144,46 +143,13 @@ def _play(
         walkers: leaves [L, ...], L ≥ B.
         behavior: what acting needs of the parameters, leaves [B, ...].
         known: the fields of `Slots`, leaves [B, ...].
-
-    Returns:
-        States and walkers after it, and of each tick what was decided [U, B, W + 6], who took a
-        step [U, B], and the fields of `StepBatch`.
     """
-    act = jax.vmap(functools.partial(batch.act_packed, agent))
-    active, needs_reset, seeds, left, observation = known
-    begun = jnp.zeros_like(left)
-    checked_columns = [getattr(agent.layout, name) for name in decisions.CHECKED_COLUMNS]
+    runs = jax.vmap(functools.partial(batch.act_packed, agent))
 
-    def one(carry: Any, _: None) -> tuple[Any, tuple[chex.Array, ...]]:
-        state, walkers, active, needs_reset, left, begun, observation = carry
-        live = active & ~needs_reset
-        state, decided = act(state, hyper, behavior, observation, live)
-        checked = jnp.column_stack([decided[:, columns] for columns in checked_columns])
-        sound = jnp.isfinite(checked).all(axis=1) | ~live
-        active, live = active & sound, live & sound
-        begins = active & needs_reset
-        seed = jnp.take_along_axis(seeds, begun[:, None], axis=1, mode="clip")[:, 0]
-        command = jnp.where(live, Command.STEP, jnp.where(begins, Command.RESET, Command.IDLE))
-        action = decided[:, agent.layout.action]
-        walkers, step = tick(walkers, *_padded((command, action, seed), walkers))
-        step = jax.tree.map(lambda leaf: leaf[: len(live)], step)
-        observation = jnp.where((live | begins)[:, None], step.observation, observation)
-        reward = jnp.where(live, step.reward, 0.0)
-        active = active & jnp.isfinite(reward)
-        human_reset = decisions.flags_of(decided, agent.layout)["human_reset"]
-        terminated, truncated = live & step.terminated, live & step.truncated
-        ended = live & (terminated | truncated | human_reset)
-        left = left - ended
-        told = decided, live, observation, reward, terminated, truncated
-        carry = state, walkers, active & (left > 0), ended, left, begun + ended, observation
-        return carry, told
+    def act(
+        state: chex.Array, observation: chex.Array, live: chex.Array
+    ) -> tuple[chex.Array, chex.Array]:
+        after, decided = runs(state, hyper, behavior, observation, live)
+        return after, decided
 
-    carry: Any = state, walkers, active, needs_reset, left, begun, observation
-    (state, walkers, *_), told = jax.lax.scan(one, carry, None, length=count)
-    return state, walkers, told
-
-
-def _padded(rows: tuple[chex.Array, ...], walkers: chex.ArrayTree) -> list[chex.Array]:
-    """Rows of B runs with zeros behind them, one for each walker."""
-    lanes = len(jax.tree.leaves(walkers)[0])
-    return [jnp.pad(r, [(0, lanes - len(r))] + [(0, 0)] * (r.ndim - 1)) for r in rows]
+    return device_chunk.play(act, agent.layout, count, state, walkers, known)

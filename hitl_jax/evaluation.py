@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Literal, NamedTuple, Protocol
 
 import jax
 import numpy as np
@@ -11,10 +11,11 @@ import numpy as np
 from hitl_jax import batch, decisions
 from hitl_jax.acting import ActingState, init_acting
 from hitl_jax.agent import Agent, behavior
-from hitl_jax.config import RunHyper
+from hitl_jax.config import Method, RunHyper
 from hitl_jax.devices import acting_device
-from hitl_jax.envs import Command, WalkerPool
+from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.episodes import EpisodeCounter, Row, Step, fall_at_once
+from hitl_jax.replay import Layout
 from hitl_jax.runs import FinishedRun, Run, RunSpec, Snapshot, episode_seed, method_index
 from hitl_jax.types import Behavior
 
@@ -25,6 +26,48 @@ Watch = Callable[[np.ndarray, np.ndarray], None]
 [N, W + 6], and which walkers take the step, bool [N]."""
 
 _PARTS = 5
+_TESTS = 3
+"""Of a run at most: alone, assisted, and its snapshots."""
+
+
+class Trial(NamedTuple):
+    """A test of some of a run's policies, each on the same terrains.
+
+    Attributes:
+        mode: `autonomous` or `assisted`.
+        spec: the run.
+        policies: to be tested, K.
+        episodes: of each policy.
+    """
+
+    mode: Mode
+    spec: RunSpec
+    policies: Sequence[Snapshot]
+    episodes: int
+
+
+class Examiner(Protocol):
+    """Plays trials.
+
+    Attributes:
+        num_episodes: of one test.
+        num_runs: how many it likes to be given at a time, for the sake of speed.
+    """
+
+    num_episodes: int
+    num_runs: int
+
+    def play(self, trials: Sequence[Trial], between: Callable[[], None]) -> list[list[Row]]:
+        """Plays trials.
+
+        Args:
+            trials: of any runs.
+            between: called every now and then; may raise to break off.
+
+        Returns:
+            Of each trial a row for each policy and episode, policy after policy.
+        """
+        ...
 
 
 def milestones(episodes: int) -> tuple[int, ...]:
@@ -34,7 +77,7 @@ def milestones(episodes: int) -> tuple[int, ...]:
 
 
 class Evaluator:
-    """Plays test episodes of one run at a time, a walker for each episode.
+    """An `Examiner` that plays the policies of one run at a time, a walker for each episode.
 
     Everything is frozen: no exploration, no learning, the boundary as training left it.
     `autonomous`: nobody intervenes; alarms and judgements are recorded all the same. `assisted`:
@@ -49,14 +92,17 @@ class Evaluator:
             agent: the team as it trained.
             pool: one walker for each episode.
         """
-        config = dataclasses.replace(agent.config, intervention="takeover")
-        self._agent = agent._replace(config=config)
+        self._agent = as_tested(agent)
         self._pool = pool
+        self.num_episodes = pool.num_walkers
+        self.num_runs = 1
 
-    @property
-    def num_episodes(self) -> int:
-        """Episodes of one test: the pool's walkers."""
-        return self._pool.num_walkers
+    def play(self, trials: Sequence[Trial], between: Callable[[], None]) -> list[list[Row]]:
+        """See `Examiner`."""
+        return [
+            evaluate_policies(self, t.mode, t.spec, t.policies, lambda *_: between())
+            for t in trials
+        ]
 
     def evaluate(
         self,
@@ -113,41 +159,107 @@ class Evaluator:
                 watch(decided, active)
             command = np.where(active, Command.STEP, Command.IDLE).astype(np.uint8)
             answer = self._pool.step(command, decided[:, layout.action], resets)
-            flags = decisions.flags_of(decided, layout)
-            known = hyper.has_arbiter > 0
-            step = Step(
-                live=active,
-                reward=answer.reward,
-                shaped=answer.reward,  # nothing is learned from a test
-                terminated=answer.terminated,
-                truncated=answer.truncated,
-                human_reset=np.zeros(walkers, bool),
-                control=flags["control"],
-                human_action=flags["human_action"],
-                began=flags["began"],
-                alarmed=flags["alarmed"],
-                dangerous=flags["dangerous"],
-                boundary=decided[:, layout.boundary] if known else np.full(walkers, np.nan),
-            )
-            for walker, row in counter.count(step):
+            known = np.full(walkers, hyper.has_arbiter > 0)
+            for walker, row in counter.count(step_of(active, decided, answer, layout, known)):
                 rows[walker] = {"mode": mode, "episode": walker % seeds.shape[1] + 1, **row}
                 active[walker] = False
             observation = answer.observation
         return [row for row in rows if row is not None]
 
 
+def num_test_walkers(backend: str, episodes: int, num_runs: int, num_devices: int) -> int:
+    """Walkers for the tests of a batch of runs.
+
+    Args:
+        backend: of the walkers.
+        episodes: of one test.
+        num_runs: how many runs will be tested.
+        num_devices: CPU devices that backend `jax` shares its walkers out over.
+    """
+    if backend != "jax":
+        return episodes
+    from hitl_jax.device_evaluation import num_walkers  # Imports Box2D.
+
+    return num_walkers(_TESTS * num_runs * episodes, num_devices)
+
+
+def make_examiner(agent: Agent, pool: WalkerPool, episodes: int) -> Examiner:
+    """The device's examiner for walkers that are on one, else the host's.
+
+    Args:
+        agent: the team as it trained.
+        pool: of `num_test_walkers`.
+        episodes: of one test.
+    """
+    if hasattr(pool, "blocks"):  # of a JaxPool, whose module imports Box2D for its walker's numbers
+        from hitl_jax.device_evaluation import DeviceEvaluator
+
+        return DeviceEvaluator(agent, pool, episodes)  # type: ignore[arg-type]
+    return Evaluator(agent, pool)
+
+
+def as_tested(agent: Agent) -> Agent:
+    """The team in a test, where no intervention is a reset."""
+    return agent._replace(config=dataclasses.replace(agent.config, intervention="takeover"))
+
+
+def step_of(
+    live: np.ndarray,
+    decided: np.ndarray,
+    answer: StepBatch,
+    layout: Layout,
+    has_arbiter: np.ndarray,
+) -> Step:
+    """What a tick of a test brought.
+
+    Args:
+        live: which walkers take a step, bool [N].
+        decided: what acting gave, [N, W + 6].
+        answer: of the walkers.
+        layout: columns of what was decided.
+        has_arbiter: whether there is a boundary, bool [N].
+    """
+    flags = decisions.flags_of(decided, layout)
+    return Step(
+        live=live,
+        reward=answer.reward,
+        shaped=answer.reward,  # nothing is learned from a test
+        terminated=answer.terminated,
+        truncated=answer.truncated,
+        human_reset=np.zeros(len(live), bool),
+        control=flags["control"],
+        human_action=flags["human_action"],
+        began=flags["began"],
+        alarmed=flags["alarmed"],
+        dangerous=flags["dangerous"],
+        boundary=np.where(has_arbiter, decided[:, layout.boundary], np.nan),
+    )
+
+
+def init_test(
+    agent: Agent, hyper: RunHyper, boundary: jax.Array, key: jax.Array, episode: jax.Array
+) -> ActingState:
+    """Acting at the first step of a test episode; its key depends on nothing else.
+
+    Args:
+        agent: the team.
+        hyper: scalars.
+        boundary: the boundary source's carry, [] or [C].
+        key: of the run's tests, [].
+        episode: its number from 0 on, [].
+    """
+    state = init_acting(agent, hyper, jax.random.fold_in(key, episode))
+    return dataclasses.replace(state, boundary=boundary)
+
+
 @functools.partial(jax.jit, static_argnums=0)
 def _init(
     agent: Agent, hyper: RunHyper, boundary: jax.Array, key: jax.Array, episodes: jax.Array
 ) -> ActingState:
-    """Acting states, leaves [K, E, ...]; an episode's key depends on nothing else."""
-
-    def one(boundary: jax.Array, episode: jax.Array) -> ActingState:
-        state = init_acting(agent, hyper, jax.random.fold_in(key, episode))
-        return dataclasses.replace(state, boundary=boundary)
-
-    policies = jax.vmap(one, in_axes=(None, 0))
-    return jax.vmap(policies, in_axes=(0, None))(boundary, episodes)
+    """Acting states, leaves [K, E, ...]."""
+    one = functools.partial(init_test, agent, hyper)
+    policies = jax.vmap(one, in_axes=(None, None, 0))
+    return jax.vmap(policies, in_axes=(0, None, None))(boundary, key, episodes)
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -166,57 +278,64 @@ def _act(
     return everything(hyper, params, state, observation, live)
 
 
-def evaluate_run(
-    evaluator: Evaluator,
-    finished: FinishedRun,
-    modes: Sequence[Mode],
-    watch: Watch | None = None,
-) -> list[Row]:
-    """Tests a run as training left it; one that diverged counts as falling at once.
+def evaluate_runs(
+    examiner: Examiner,
+    runs: Sequence[FinishedRun],
+    modes: Callable[[Method], Sequence[Mode]],
+    between: Callable[[], None] = lambda: None,
+) -> list[tuple[list[Row], list[Row]]]:
+    """Tests runs as training left them, and, alone, as they were at their snapshots.
 
     The terrain depends on the seed alone: a comparison that is paired over methods needs fewer
-    episodes.
+    episodes. Of N episodes of a test each of K snapshots gets ⌊N / K⌋, at least one, on the first
+    terrains of the test at the end. A run that diverged counts as falling at once.
 
     Args:
-        evaluator: plays an episode on each of its walkers.
-        finished: the run.
-        modes: which tests, in this order.
-        watch: sees every step.
+        examiner: plays the episodes.
+        runs: that have ended.
+        modes: which tests at the end, in this order, by method.
+        between: see `Examiner.play`.
 
     Returns:
-        A row for each mode and episode.
+        Of each run a row for each mode and episode; and one for each snapshot and episode, with
+        the number of training episodes as `trained`.
     """
-    last = Snapshot(finished.run.spec.episodes, behavior(finished.train), finished.boundary)
-    spec = finished.run.spec
-    return [
-        row for mode in modes for row in evaluate_policies(evaluator, mode, spec, [last], watch)
+    each = examiner.num_episodes
+    final = [_final(run, modes(run.run.spec.method), each) for run in runs]
+    earlier = [_earlier(run.run, each) for run in runs]
+    asked = [trial for trials in [*final, *earlier] for trial in trials]
+    played = iter(examiner.play(asked, between))
+    at_end = [[row for _ in trials for row in next(played)] for trials in final]
+    on_the_way = [
+        [row for trial in trials for row in _told(run.run, trial, next(played))]
+        for run, trials in zip(runs, earlier, strict=True)
     ]
+    return list(zip(at_end, on_the_way, strict=True))
 
 
-def evaluate_snapshots(evaluator: Evaluator, run: Run, watch: Watch | None = None) -> list[Row]:
-    """Tests a run, alone, as it was at its snapshots; they share the evaluator's walkers.
+def _final(finished: FinishedRun, modes: Sequence[Mode], episodes: int) -> list[Trial]:
+    """The tests of a run as training left it."""
+    spec = finished.run.spec
+    last = Snapshot(spec.episodes, behavior(finished.train), finished.boundary)
+    return [Trial(mode, spec, [last], episodes) for mode in modes]
 
-    Of N walkers each of K snapshots gets ⌊N / K⌋, on the first terrains of the test at the end;
-    with fewer walkers than snapshots each gets one.
 
-    Args:
-        evaluator: plays an episode on each of its walkers.
-        run: with the snapshots.
-        watch: sees every step.
+def _earlier(run: Run, episodes: int) -> list[Trial]:
+    """The tests of a run's snapshots, which share the episodes of a test."""
+    groups = (
+        run.snapshots[first : first + episodes] for first in range(0, len(run.snapshots), episodes)
+    )
+    return [Trial("autonomous", run.spec, group, episodes // len(group)) for group in groups]
 
-    Returns:
-        A row for each snapshot and episode, with the number of training episodes as `trained`.
-    """
-    rows = []
-    for first in range(0, len(run.snapshots), evaluator.num_episodes):
-        group = run.snapshots[first : first + evaluator.num_episodes]
-        played = evaluate_policies(evaluator, "autonomous", run.spec, group, watch)
-        each = len(played) // len(group)
-        rows += [{"trained": group[n // each].episode, **row} for n, row in enumerate(played)]
-    if run.diverged:
-        lost = run.diverged.episodes
-        rows = [row | fall_at_once() if row["trained"] > lost else row for row in rows]
-    return rows
+
+def _told(run: Run, trial: Trial, rows: Sequence[Row]) -> list[Row]:
+    """Rows of a test of snapshots, with what tells them apart."""
+    lost = run.diverged.episodes if run.diverged else run.spec.episodes
+    told = []
+    for number, row in enumerate(rows):
+        trained = trial.policies[number // trial.episodes].episode
+        told.append({"trained": trained, **row} | (fall_at_once() if trained > lost else {}))
+    return told
 
 
 def evaluate_policies(
@@ -238,14 +357,24 @@ def evaluate_policies(
     Returns:
         A row for each policy and episode.
     """
-    *_, key = batch.run_keys(spec.seed, method_index(spec.method))
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *policies)
-    numbers = range(evaluator.num_episodes // len(policies))
-    seeds = np.array([episode_seed("test", spec.seed, number) for number in numbers], np.uint32)
+    seeds = terrain_seeds(spec, evaluator.num_episodes // len(policies))
     everywhere = np.tile(seeds, (len(policies), 1))
     return evaluator.evaluate(
-        mode, spec.hyper, stacked.behavior, stacked.boundary, key, everywhere, watch
+        mode, spec.hyper, stacked.behavior, stacked.boundary, trial_key(spec), everywhere, watch
     )
+
+
+def terrain_seeds(spec: RunSpec, episodes: int) -> np.ndarray:
+    """Reset seeds of a run's test episodes, the same for all methods, uint32 [E]."""
+    seeds = [episode_seed("test", spec.seed, number) for number in range(episodes)]
+    return np.array(seeds, np.uint32)
+
+
+def trial_key(spec: RunSpec) -> jax.Array:
+    """The key of a run's tests, []."""
+    *_, key = batch.run_keys(spec.seed, method_index(spec.method))
+    return key
 
 
 def frozen(hyper: RunHyper, human_present: bool) -> RunHyper:

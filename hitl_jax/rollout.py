@@ -105,6 +105,7 @@ class Rollout:
         self._seats = [self._programs.begin_ring(seats, longest) for seats in self._seats]
         self._queue = deque(sorted(specs, key=lambda spec: spec.key not in self._saved))
         self._runs: list[Run | None] = [None] * slots
+        self._held: set[RunKey] = set()
         self._counter = EpisodeCounter(slots)
         self._slots = Slots(
             active=np.zeros(slots, bool),
@@ -121,27 +122,41 @@ class Rollout:
     def __iter__(self) -> Iterator[list[FinishedRun]]:
         """Plays chunk after chunk; gives the runs that finished in each.
 
-        A run that had ended when it was saved is given at once.
+        A run that had ended when it was saved is given at once. Ends when no run is left but those
+        held.
         """
-        while self.runs():
-            if ended := [run for run in self.runs() if run.done]:
+        while under_way := self._not_held(self.runs()):
+            if ended := [run for run in under_way if run.done]:
                 yield [self.collect(run) for run in ended]
-                self._replace(ended)
+                self._replace(self._not_held(ended))
                 continue
             finite = self._stage.prepare(self._learned.popleft())  # Waits for the learner.
             self._stop_diverged("parameters", finite)
             frames = self._play()
             for run in self.runs():
                 self._keep_snapshots(run)
-            ended = [run for run in self.runs() if run.done]
+            ended = [run for run in self._not_held(self.runs()) if run.done]
             results = [self.collect(run) for run in ended]
             self._learn(frames)
             yield results
-            self._replace(ended)
+            self._replace(self._not_held(ended))
 
     def runs(self) -> list[Run]:
         """The runs under way, and those that have just been given as finished."""
         return [run for run in self._runs if run is not None]
+
+    def hold(self, ended: Sequence[FinishedRun]) -> None:
+        """Lets runs that were given keep their slots, so that they are saved, until `release`."""
+        self._held |= {finished.run.spec.key for finished in ended}
+
+    def release(self, ended: Sequence[FinishedRun]) -> None:
+        """Gives the slots of runs that were held to others."""
+        self._replace([finished.run for finished in ended])
+        self._held -= {finished.run.spec.key for finished in ended}
+
+    def waits(self) -> bool:
+        """Whether runs that are held keep others from going on, or none is left that would."""
+        return bool(self._queue) or not any(not run.done for run in self.runs())
 
     def collect(self, run: Run) -> FinishedRun:
         """What a run has become so far; for a run that is seated."""
@@ -186,11 +201,15 @@ class Rollout:
         """Returns when the learner has nothing left to do."""
         jax.block_until_ready([seats.train for seats in self._seats])
 
+    def _not_held(self, runs: Sequence[Run]) -> list[Run]:
+        return [run for run in runs if run.spec.key not in self._held]
+
     def _replace(self, ended: Sequence[Run]) -> None:
-        """Gives the slots of runs that have ended to others."""
-        for run in ended:
-            self._runs[run.slot] = None
-        self._seat_all([run.slot for run in ended])
+        """Gives the slots of runs that have ended, and still have them, to others."""
+        slots = [run.slot for run in ended if self._runs[run.slot] is run]
+        for slot in slots:
+            self._runs[slot] = None
+        self._seat_all(slots)
 
     def _slot_order(self) -> list[int]:
         """Slots such that neighbours in the queue go to different devices."""

@@ -5,7 +5,7 @@ from toy import ToyPool
 
 from hitl_jax import agent as agents
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.evaluation import Evaluator, evaluate_run, evaluate_snapshots
+from hitl_jax.evaluation import Evaluator, evaluate_runs
 from hitl_jax.runs import FinishedRun, Run, RunSpec, Snapshot
 
 _SEEDS = np.arange(5, dtype=np.uint32)
@@ -61,15 +61,19 @@ def test_snapshots_share_the_walkers_and_are_tested_as_the_end_is():
         Snapshot(3 * (n + 1), agents.behavior(state), np.float32(0.3 + 0.1 * n))
         for n, state in enumerate(trained)
     ]
+    run = FinishedRun(Run(spec, 0, snapshots=snapshots), trained[1], np.float32(0.4))
+
+    def test(walkers):
+        return evaluate_runs(Evaluator(agent, ToyPool(walkers)), [run], lambda _: ("autonomous",))
+
     # Three policies on seven walkers: two episodes each, and one walker stands still.
-    rows = evaluate_snapshots(Evaluator(agent, ToyPool(7)), Run(spec, 0, snapshots=snapshots))
+    [(_, rows)] = test(7)
     assert [(row["trained"], row["episode"]) for row in rows] == [
         *((3, 1), (3, 2), (6, 1), (6, 2), (9, 1), (9, 2)),
     ]
-    one = evaluate_snapshots(Evaluator(agent, ToyPool(1)), Run(spec, 0, snapshots=snapshots))
+    [(_, one)] = test(1)
     assert [row["trained"] for row in one] == [3, 6, 9]
-    end = FinishedRun(Run(spec, 0), trained[1], np.float32(0.4))
-    tested = evaluate_run(Evaluator(agent, ToyPool(2)), end, ("autonomous",))
+    [(tested, _)] = test(2)
     for row, alone in zip(rows[2:4], tested, strict=True):
         assert row["return"] == pytest.approx(alone["return"], rel=1e-5)
         assert row["mean_boundary"] == pytest.approx(0.4)

@@ -11,7 +11,7 @@ from hitl_jax.agent import behavior, make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.devices import learning_devices
 from hitl_jax.envs import Command
-from hitl_jax.evaluation import Evaluator, evaluate_run, evaluate_snapshots
+from hitl_jax.evaluation import Evaluator, evaluate_runs
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import LoopConfig, RunSpec, episode_seed, num_slots
 
@@ -230,8 +230,10 @@ def test_parameters_that_are_not_finite_end_a_run(together):
     _assert_falls(lost.run.all_episodes()[episodes:])
     # So do its tests, and those of its snapshots from there on.
     evaluator = Evaluator(make_agent(_CONFIG), ToyPool(4))
-    _assert_falls(evaluate_run(evaluator, lost, ["autonomous", "assisted"]))
-    for row in evaluate_snapshots(evaluator, lost.run):
+    [(at_end, on_the_way)] = evaluate_runs(evaluator, [lost], lambda _: ("autonomous", "assisted"))
+    assert len(at_end) == 8
+    _assert_falls(at_end)
+    for row in on_the_way:
         assert (row["length"] == 1) == (row["trained"] > episodes)
 
 
