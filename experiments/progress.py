@@ -92,14 +92,14 @@ class Progress:
     def _of(self, method: str, runs: Sequence[Run]) -> list[Run]:
         return [run for run in runs if run.spec.method == method]
 
-    def _headline(self, episodes: int, steps: int, in_tests: int) -> str:
+    def _headline(self, episodes: int, steps: int, untested: int) -> str:
         (then, episodes_then, steps_then), (now, *_) = self._history[0], self._history[-1]
         seconds = max(now - then, 1e-9)
         done = self._done + len(self._finished)
         total = (self._num_runs - self._done) * self._episodes
-        tests = f" and {in_tests} in tests" if in_tests else ""
+        tests = f", {untested} to be tested" if untested else ""
         line = f"runs {done}/{self._num_runs}{tests}  episodes {episodes}/{total}  steps {steps:,}"
-        if episodes == episodes_then:
+        if episodes in (episodes_then, total):
             return line
         left = (total - episodes) * seconds / (episodes - episodes_then)
         return f"{line}  {(steps - steps_then) / seconds:,.0f} steps/s  about {_clock(left)} left"

@@ -206,8 +206,9 @@ def test_many_walkers_are_stepped_in_blocks(monkeypatch):
             return pool.step(np.full(num, Command.STEP), actions + 1, seeds).observation
 
     few = begun(3)
-    monkeypatch.setattr(jax_pool, "_MOST_LANES", LANES)
-    many = begun(2 * LANES + 1)
+    # More than eight times sixteen: from there on others were worked on at a time in `rarely`.
+    monkeypatch.setattr(jax_pool, "_MOST_LANES", 9 * LANES)
+    many = begun(18 * LANES)
     np.testing.assert_array_equal(many[:3], few)
     assert len(np.unique(many, axis=0)) == len(many)
 

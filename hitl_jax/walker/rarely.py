@@ -12,8 +12,8 @@ from hitl_jax.walker.kernel import as_kernel, on_gpu
 Tree = TypeVar("Tree")
 Other = TypeVar("Other")
 
-_SHARE = 16
-"""A sixteenth of the batch is worked on at a time."""
+_WIDTH = 8
+"""So many are worked on at a time, whatever the batch: XLA would round otherwise with others."""
 
 
 def rarely(
@@ -42,7 +42,7 @@ def rarely(
             needed = jnp.broadcast_to(needed, (num_parts, *needed.shape))
         return as_kernel(functools.partial(where_needed, work), num_parts)(needed, state, context)
     batch = needed.shape[0]
-    width = max(min(8, batch), batch // _SHARE)
+    width = min(_WIDTH, batch)
     # Places past the end are of none: read as the last, never written.
     order = jnp.nonzero(needed, size=batch + width, fill_value=batch)[0]
     count = needed.sum()
