@@ -96,7 +96,7 @@ class DeviceEvaluator:
 
         Args:
             agent: the team as it trained.
-            pool: of `num_walkers`; they are not at other people's disposal any more.
+            pool: of `num_walkers`; nobody else may step them.
             num_episodes: of one test.
         """
         self._agent = as_tested(agent)
