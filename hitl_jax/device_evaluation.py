@@ -207,8 +207,9 @@ class _Room:
         slots = self._slots
         for decided, live, *played in zip(*jax.device_get(self._told), strict=True):
             answer = StepBatch(*played)
+            live = live & np.isfinite(answer.reward)
             for lane in np.flatnonzero(slots.live & ~live).tolist():
-                self._counter.clear(lane)  # Its numbers are not finite: it cannot act.
+                self._counter.clear(lane)  # Its numbers are not finite.
                 yield self._ended(lane, fall_at_once())
             step = step_of(live, decided, answer, self._agent.layout, self._has_arbiter)
             for lane, row in self._counter.count(step):
