@@ -68,6 +68,15 @@ class _Seats(NamedTuple):
     states: ActingState
 
 
+class _Guest(NamedTuple):
+    """A policy and its episodes, [16], with what their acting begins from; see `init_test`."""
+
+    policy: _Policy
+    boundary: chex.Array
+    key: chex.PRNGKey
+    episodes: chex.Array
+
+
 class _Sitting(NamedTuple):
     """Episodes of one policy.
 
@@ -170,19 +179,17 @@ class _Room:
     def _seat(self, table: int, lanes: slice, trial: Trial, sitting: _Sitting) -> None:
         snapshot = trial.policies[sitting.policy]
         hyper = typed(frozen(trial.spec.hyper, human_present=trial.mode == "assisted"))
-        given = jax.device_put(
-            (
-                _Policy(hyper, snapshot.behavior),
-                snapshot.boundary,
-                trial_key(trial.spec),
-                sitting.first + np.arange(_TABLE),
-            ),
-            self._pool.blocks[self._index].device,
+        guest = _Guest(
+            _Policy(hyper, snapshot.behavior),
+            snapshot.boundary,
+            trial_key(trial.spec),
+            sitting.first + np.arange(_TABLE),
         )
+        guest = jax.device_put(guest, self._pool.blocks[self._index].device)
         if self._seats is None:
-            self._seats = _seats_of(self._agent, len(self._sittings), *given)
+            self._seats = _tables(self._agent, len(self._sittings), guest)
         else:
-            self._seats = _seated(self._agent, self._seats, table, *given)
+            self._seats = _seated(self._agent, self._seats, table, guest)
         plays = sitting.first + np.arange(_TABLE) <= sitting.last
         seeds = terrain_seeds(trial.spec, sitting.last + 1)
         self._slots.active[lanes] = self._slots.needs_reset[lanes] = plays
@@ -225,41 +232,23 @@ class _Room:
         return sitting, place, row
 
 
-def _states(
-    agent: Agent, policy: _Policy, boundary: chex.Array, key: chex.PRNGKey, episodes: chex.Array
-) -> ActingState:
-    """Acting states at the first step of 16 episodes, leaves [16, ...]."""
-    one = functools.partial(init_test, agent, policy.hyper, boundary, key)
-    return jax.vmap(one)(episodes)
+def _table(agent: Agent, guest: _Guest) -> _Seats:
+    """One table at the first step of its episodes, policies' leaves [...], states' [16, ...]."""
+    one = functools.partial(init_test, agent, guest.policy.hyper, guest.boundary, guest.key)
+    return _Seats(guest.policy, jax.vmap(one)(guest.episodes))
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
-def _seats_of(
-    agent: Agent,
-    tables: int,
-    policy: _Policy,
-    boundary: chex.Array,
-    key: chex.PRNGKey,
-    episodes: chex.Array,
-) -> _Seats:
-    """The same policy and episodes at every table."""
-    one = _Seats(policy, _states(agent, policy, boundary, key, episodes))
-    seats: _Seats = jax.tree.map(lambda leaf: jnp.stack([leaf] * tables), one)
+def _tables(agent: Agent, count: int, guest: _Guest) -> _Seats:
+    """The same guest at every table."""
+    seats: _Seats = jax.tree.map(lambda leaf: jnp.stack([leaf] * count), _table(agent, guest))
     return seats
 
 
 @functools.partial(jax.jit, static_argnums=0, donate_argnums=1)
-def _seated(
-    agent: Agent,
-    seats: _Seats,
-    table: int,
-    policy: _Policy,
-    boundary: chex.Array,
-    key: chex.PRNGKey,
-    episodes: chex.Array,
-) -> _Seats:
-    """A policy and episodes sit down at a table."""
-    one = _Seats(policy, _states(agent, policy, boundary, key, episodes))
+def _seated(agent: Agent, seats: _Seats, table: int, guest: _Guest) -> _Seats:
+    """A guest sits down at a table."""
+    one = _table(agent, guest)
     after: _Seats = jax.tree.map(lambda leaf, new: leaf.at[table].set(new), seats, one)
     return after
 
