@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.trained import load_trained
-from hitl_jax import decisions
 from hitl_jax.agent import Agent
 from hitl_jax.envs import WalkerPool
 from hitl_jax.episode_log import playback
@@ -17,6 +16,7 @@ from hitl_jax.recording import Recording
 from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey
 from hitl_jax.runs import episode_seed
+from hitl_jax.steps import recorded_steps
 
 
 class PlayedTest(NamedTuple):
@@ -71,12 +71,11 @@ def play_tests(
         ResultsError: if the run is not there, or is not of this program.
     """
     spec, end = load_trained(folder, key)
-    has_arbiter = np.full(evaluator.num_episodes, spec.hyper.has_arbiter > 0)
     seen: list[np.ndarray] = []
 
     def watch(decided: np.ndarray, active: np.ndarray) -> None:
         del active  # the rows tell how long each episode was
-        seen.append(decisions.recorded_steps(decided, agent.layout, has_arbiter))
+        seen.append(recorded_steps(decided, agent.layout, spec.hyper))
 
     rows = evaluate_policies(evaluator, mode, spec, [end], watch)
     steps = np.stack(seen, axis=1)

@@ -56,6 +56,18 @@ class Seats(NamedTuple):
     memory: replay.Replay
 
 
+class Packed(NamedTuple):
+    """What acting needs of R runs' parameters.
+
+    Attributes:
+        rows: packed, [R, B].
+        finite: whether all of a row is finite, bool [R].
+    """
+
+    rows: chex.Array
+    finite: chex.Array
+
+
 class Acting(NamedTuple):
     """Everything on an acting device, packed.
 
@@ -79,12 +91,12 @@ class Programs(NamedTuple):
         seat_acting: (acting, slot, hyper, key) to acting with a fresh run in `slot`; donates.
         act: (acting, behavior, observation [R, O], live bool [R]) to (acting, packed [R, W + 6]);
             donates.
-        learn: (seats, frames [R, U, W], slots int32 [R], count int32 []) to seats and a copy of
-            what acting needs of them, packed [R, B]; donates. The first `count` of `slots` learn.
-        pack_behavior: training states as words [R, P] to what acting needs of them, packed [R, B].
-        seat_behavior: (packed [R, B], slot, row [B]) to packed, for a fresh run in `slot`; donates.
-        unpack_behavior: (packed of each device) to what acting needs of all runs, one device after
-            the other.
+        learn: (seats, frames [R, U, W], slots int32 [R], count int32 []) to seats and `Packed`, a
+            copy of what acting needs of them; donates. The first `count` of `slots` learn.
+        pack_behavior: training states as words [R, P] to `Packed`.
+        seat_behavior: (`Packed`, slot, row [B]) to `Packed`, for a fresh run in `slot`; donates.
+        unpack_behavior: (rows of `Packed` of each device) to what acting needs of all runs, one
+            device after the other.
         boundaries: acting to the carry of each run's boundary source, [R] or [R, K].
         unpack_train: (training states as words [R, P], slot) to that of the run in `slot`.
         restore: (seats, slot, training state as words [P], the run's column of the ring [T, W],
@@ -97,9 +109,9 @@ class Programs(NamedTuple):
     seat: Callable[..., Seats]
     seat_acting: Callable[..., Acting]
     act: Callable[..., tuple[Acting, chex.Array]]
-    learn: Callable[..., tuple[Seats, chex.Array]]
-    pack_behavior: Callable[[chex.Array], chex.Array]
-    seat_behavior: Callable[..., chex.Array]
+    learn: Callable[..., tuple[Seats, Packed]]
+    pack_behavior: Callable[[chex.Array], Packed]
+    seat_behavior: Callable[..., Packed]
     unpack_behavior: Callable[[Sequence[chex.Array]], Behavior]
     boundaries: Callable[[Acting], chex.Array]
     unpack_train: Callable[..., TrainState]
@@ -179,7 +191,7 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
 
     def begin(key: chex.PRNGKey) -> tuple[chex.Array, chex.Array]:
         words = pack(agents.init(agent, key))
-        return words, _pack_behavior(agent, words[None])[0]
+        return words, _pack_behavior(agent, words[None]).rows[0]
 
     def seat(seats: Seats, slot: chex.Array, hyper: RunHyper, words: chex.Array) -> Seats:
         return Seats(
@@ -206,7 +218,7 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
 
     def learn(
         seats: Seats, frames: chex.Array, slots: chex.Array, count: chex.Array
-    ) -> tuple[Seats, chex.Array]:
+    ) -> tuple[Seats, Packed]:
         (train, memory), packed = learn_all(
             (seats.train, seats.memory), seats.hyper, frames, slots, count
         )
@@ -231,8 +243,11 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
     def restore_acting(acting: Acting, slot: chex.Array, words: chex.Array) -> Acting:
         return acting._replace(state=acting.state.at[slot].set(words))
 
-    def seat_behavior(packed: chex.Array, slot: chex.Array, row: chex.Array) -> chex.Array:
-        return packed.at[slot].set(row)
+    def seat_behavior(packed: Packed, slot: chex.Array, row: chex.Array) -> Packed:
+        return Packed(
+            rows=packed.rows.at[slot].set(row),
+            finite=packed.finite.at[slot].set(jnp.isfinite(row).all()),
+        )
 
     return Programs(
         begin=jax.jit(begin),
@@ -281,25 +296,25 @@ def flat(behavior: Behavior) -> np.ndarray:
     return np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(behavior)])
 
 
-def _pack_behavior(agent: Agent, train: chex.Array) -> chex.Array:
-    """What acting needs of training states [R, P], packed [R, B]."""
+def _pack_behavior(agent: Agent, train: chex.Array) -> Packed:
+    """What acting needs of training states [R, P]."""
     behavior = agents.behavior(jax.vmap(functools.partial(unpack, _some_train(agent)))(train))
     leaves = jax.tree.leaves(behavior)
-    return jnp.concatenate([leaf.reshape(leaf.shape[0], -1) for leaf in leaves], axis=1)
+    rows = jnp.concatenate([leaf.reshape(leaf.shape[0], -1) for leaf in leaves], axis=1)
+    return Packed(rows, jnp.isfinite(rows).all(axis=1))
 
 
 def _unpack_behavior(agent: Agent, packed: Sequence[chex.Array]) -> Behavior:
     """What acting needs of runs, leaves [R, ...], from arrays of some of them, [.., B]."""
-    rows = jnp.concatenate(packed)
-    like = agents.behavior(_some_train(agent))
-    leaves, structure = jax.tree.flatten(like)
+    leaves, structure = jax.tree.flatten(agents.behavior(_some_train(agent)))
     ends = np.cumsum([leaf.size for leaf in leaves])
-    columns = jnp.split(rows, ends[:-1], axis=1)
+    # Split before they are joined: all is copied once.
+    parts = zip(*(jnp.split(rows, ends[:-1], axis=1) for rows in packed), strict=True)
     return jax.tree.unflatten(
         structure,
         [
-            column.reshape(len(rows), *leaf.shape)
-            for column, leaf in zip(columns, leaves, strict=True)
+            jnp.concatenate(part).reshape(-1, *leaf.shape)
+            for part, leaf in zip(parts, leaves, strict=True)
         ],
     )
 
@@ -313,7 +328,7 @@ def _learn_all(
     frames: chex.Array,
     slots: chex.Array,
     count: chex.Array,
-) -> tuple[tuple[chex.Array, replay.Replay], chex.Array]:
+) -> tuple[tuple[chex.Array, replay.Replay], Packed]:
     before, memory = learned
     memory = replay.add(memory, frames)
     slots = jnp.concatenate([slots, jnp.zeros((tile,), slots.dtype)])

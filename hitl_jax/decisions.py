@@ -5,12 +5,10 @@ import functools
 import chex
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from hitl_jax.acting import ActingState, act, begin_episode
 from hitl_jax.agent import Agent
 from hitl_jax.config import RunHyper
-from hitl_jax.recording import STEP_COLUMNS
 from hitl_jax.replay import Layout
 from hitl_jax.types import Behavior
 
@@ -53,27 +51,11 @@ def act_or_begin(
     return state, jnp.concatenate([observation, decision.action, tail])
 
 
-def flags_of(decided: chex.Array, layout: Layout) -> dict[str, chex.Array]:
-    """The flags of `EXTRA_COLUMNS` by name, bool [R], from what acting gave, [R, W + 6]."""
-    return dict(zip(EXTRA_COLUMNS, decided[:, layout.width :].T > 0.5, strict=True))
+def flag_of(rows: chex.Array, layout: Layout, name: str) -> chex.Array:
+    """One of `EXTRA_COLUMNS`, bool [...], from what acting gave, [..., W + 6]."""
+    return rows[..., layout.width + EXTRA_COLUMNS.index(name)] > 0.5
 
 
-def recorded_steps(decided: np.ndarray, layout: Layout, has_arbiter: np.ndarray) -> np.ndarray:
-    """What is recorded of a step (`hitl_jax.recording`), [R, A + 5].
-
-    Args:
-        decided: what acting gave, [R, W + 6].
-        layout: its columns.
-        has_arbiter: whether there is a boundary, bool [R].
-    """
-    steps = decided[:, _recorded_columns(layout)]
-    steps[~has_arbiter, layout.action_size + STEP_COLUMNS.index("boundary")] = np.nan
-    return steps
-
-
-@functools.cache
-def _recorded_columns(layout: Layout) -> list[int]:
-    """Where a recorded step stands in what acting gave."""
-    flags = {name: layout.width + place for place, name in enumerate(EXTRA_COLUMNS)}
-    places = {"boundary": layout.boundary, **flags}
-    return [*range(layout.width)[layout.action], *(places[name] for name in STEP_COLUMNS)]
+def flags_of(rows: chex.Array, layout: Layout) -> dict[str, chex.Array]:
+    """All of `EXTRA_COLUMNS` by name, see `flag_of`."""
+    return {name: flag_of(rows, layout, name) for name in EXTRA_COLUMNS}

@@ -18,17 +18,18 @@ from hitl_jax.config import RunHyper, typed
 from hitl_jax.devices import walker_devices
 from hitl_jax.envs import StepBatch
 from hitl_jax.envs.jax_pool import JaxPool
-from hitl_jax.episodes import EpisodeCounter, Row, fall_at_once
+from hitl_jax.episode_log import EpisodeLog
+from hitl_jax.episodes import Row, fall_at_once, row_of
 from hitl_jax.evaluation import (
     Trial,
     as_tested,
     frozen,
     init_test,
-    step_of,
     terrain_seeds,
     trial_key,
 )
 from hitl_jax.stages import Slots
+from hitl_jax.steps import complete, episode_of, logged_layout, step_width
 from hitl_jax.types import Behavior
 
 _TABLE = 16
@@ -158,8 +159,9 @@ class _Room:
             left=np.ones(lanes, np.int32),
             observation=np.zeros((lanes, pool.observation_size), np.float32),
         )
-        self._has_arbiter = np.zeros(lanes, bool)
-        self._counter = EpisodeCounter(lanes)
+        self._hypers = [RunHyper()] * lanes
+        self._logged = logged_layout(agent.layout)
+        self._log = EpisodeLog(lanes, step_width(self._logged))
         self._seats: _Seats | None = None
         self._told: tuple[chex.Array, ...] = ()
 
@@ -194,7 +196,7 @@ class _Room:
         seeds = terrain_seeds(trial.spec, sitting.last + 1)
         self._slots.active[lanes] = self._slots.needs_reset[lanes] = plays
         self._slots.seeds[lanes][plays, 0] = seeds[sitting.first :]
-        self._has_arbiter[lanes] = trial.spec.hyper.has_arbiter > 0
+        self._hypers[lanes] = [hyper] * _TABLE
 
     def start(self, play: Callable[..., Any]) -> None:
         """Begins a chunk, by `_play`; does not wait for it."""
@@ -211,21 +213,23 @@ class _Room:
 
     def finish(self) -> Iterator[tuple[_Sitting, int, Row]]:
         """Waits for the chunk, and gives the episodes that ended in it."""
-        slots = self._slots
+        slots, config, layout = self._slots, self._agent.config, self._agent.layout
         for decided, live, *played in zip(*jax.device_get(self._told), strict=True):
-            answer = StepBatch(*played)
+            answer, step = StepBatch(*played), np.array(decided)
             live = live & np.isfinite(answer.reward)
             for lane in np.flatnonzero(slots.live & ~live).tolist():
-                self._counter.clear(lane)  # Its numbers are not finite.
-                yield self._ended(lane, fall_at_once())
-            step = step_of(live, decided, answer, self._agent.layout, self._has_arbiter)
-            for lane, row in self._counter.count(step):
-                yield self._ended(lane, row)
+                yield self._ended(lane, fall_at_once())  # Its numbers are not finite.
+            ended = live & complete(step, answer, layout)
+            self._log.add(live, step[:, layout.action.start :])
+            for lane in np.flatnonzero(ended).tolist():
+                steps, hyper = self._log.of(lane), self._hypers[lane]
+                yield self._ended(lane, row_of(episode_of(steps, self._logged, config, hyper)))
             slots.needs_reset[:] = False
             slots.observation = answer.observation
 
     def _ended(self, lane: int, row: Row) -> tuple[_Sitting, int, Row]:
         self._slots.active[lane] = False
+        self._log.begin(lane)
         table, place = divmod(lane, _TABLE)
         sitting = self._sittings[table]
         assert sitting is not None

@@ -51,15 +51,13 @@ class DeviceStage:
         self._play = jax.jit(
             functools.partial(_play, agent), static_argnums=0, donate_argnums=(1, 3)
         )
-        self._finite = jax.jit(lambda packed: jnp.isfinite(packed).all(axis=1))
 
-    def prepare(self, packed: list[jax.Array]) -> np.ndarray:
+    def prepare(self, packed: list[jax.Array]) -> None:
         """See `Stage`."""
         # Not in the program of the ticks: its rounding would tell how many runs there are.
         self._behavior = [
             self._programs.unpack_behavior([_rows_of(packed, block)]) for block in self._pool.blocks
         ]
-        return np.concatenate([np.asarray(self._finite(rows)) for rows in packed])
 
     def ticks(self, slots: Slots, count: int) -> Iterator[Tick]:
         """See `Stage`."""

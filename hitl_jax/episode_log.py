@@ -42,6 +42,10 @@ class EpisodeLog:
         if (lack := length - self._steps.shape[1]) > 0:
             self._steps = np.pad(self._steps, ((0, 0), (0, max(lack, 256)), (0, 0)))
 
+    def length_of(self, walker: int) -> int:
+        """How many steps a walker's episode has."""
+        return int(self._length[walker])
+
     def of(self, walker: int) -> np.ndarray:
         """A copy of a walker's steps, [T, W]."""
         return self._steps[walker, : self._length[walker]].copy()

@@ -1,4 +1,4 @@
-"""Counts what happens in the episodes of N walkers, for training and test alike (host, NumPy)."""
+"""What is told of an episode, in training and test alike (host, NumPy)."""
 
 from typing import Any, NamedTuple
 
@@ -13,50 +13,30 @@ FALL_REWARD = -100.0
 Row = dict[str, Any]
 
 
-class Step(NamedTuple):
-    """What one tick brought to N walkers; entries of walkers that took no step are not read.
+class Episode(NamedTuple):
+    """The steps of an episode that has ended, [T] each.
 
     Attributes:
-        live: whether a step was taken, bool [N].
-        reward: r(s, a) of the environment, [N].
-        shaped: the reward of equation (7), [N].
-        terminated: the environment's end of the task, bool [N].
-        truncated: the environment's time limit, bool [N].
-        human_reset: whether the human ended the episode, bool [N].
-        control: u_t, bool [N].
-        human_action: whether the human's action was executed, bool [N].
-        began: whether an intervention began, bool [N].
-        alarmed: C, bool [N].
-        dangerous: h_t = 0, bool [N].
-        boundary: τ_t, [N]; NaN where there is none.
+        reward: r(s, a) of the environment.
+        shaped: the reward of equation (7).
+        began: whether an intervention began, bool.
+        human_action: whether the human's action was executed, bool.
+        alarmed: C, bool.
+        dangerous: h_t = 0, bool.
+        boundary: τ_t; NaN where there is none.
+        terminated: the environment's end of the task, bool.
+        human_reset: whether the human ended the episode, bool.
     """
 
-    live: np.ndarray
     reward: np.ndarray
     shaped: np.ndarray
-    terminated: np.ndarray
-    truncated: np.ndarray
-    human_reset: np.ndarray
-    control: np.ndarray
-    human_action: np.ndarray
     began: np.ndarray
+    human_action: np.ndarray
     alarmed: np.ndarray
     dangerous: np.ndarray
     boundary: np.ndarray
-
-
-_COUNTS = (
-    "return",
-    "shaped_return",
-    "length",
-    "interventions",
-    "intervened_steps",
-    "human_steps",
-    "alarms",
-    "true_alarms",
-    "false_alarms",
-    "boundary_sum",
-)
+    terminated: np.ndarray
+    human_reset: np.ndarray
 
 
 def fall_at_once() -> Row:
@@ -79,96 +59,39 @@ def fall_at_once() -> Row:
     }
 
 
-class EpisodeCounter:
-    """Running totals of the episode that each walker is in."""
-
-    def __init__(self, num_walkers: int):
-        self._totals = np.zeros((len(_COUNTS), num_walkers))
-        # Whether a step raised an alarm, of the last k steps; step i at i mod k.
-        self._recent = np.zeros((ALARM_WINDOW, num_walkers), bool)
-        self._walkers = np.arange(num_walkers)
-
-    def clear(self, walker: int) -> None:
-        """Forgets a walker's unfinished episode."""
-        self._totals[:, walker] = 0.0
-        self._recent[:, walker] = False
-
-    def state_of(self, walker: int) -> tuple[np.ndarray, np.ndarray]:
-        """Copies of a walker's totals and of its last alarms, of the unfinished episode."""
-        return self._totals[:, walker].copy(), self._recent[:, walker].copy()
-
-    def restore(self, walker: int, totals: np.ndarray, alarms: np.ndarray) -> None:
-        """Puts back what `state_of` gave."""
-        self._totals[:, walker] = totals
-        self._recent[:, walker] = alarms
-
-    def length_of(self, walker: int) -> int:
-        """Steps so far of a walker's unfinished episode."""
-        return int(self._totals[_COUNTS.index("length"), walker])
-
-    def intervened(self, control: np.ndarray) -> np.ndarray:
-        """Whether u was 1 at any step of this episode, this step included, bool [N]."""
-        return control | (self._totals[_COUNTS.index("intervened_steps")] > 0)
-
-    def count(self, step: Step) -> list[tuple[int, Row]]:
-        """Adds one tick.
-
-        Args:
-            step: what the tick brought.
-
-        Returns:
-            (walker, row) of each episode that ended: the measures that training and test share.
-        """
-        live = step.live
-        place = self._totals[_COUNTS.index("length")].astype(int) % ALARM_WINDOW
-        self._recent[place, self._walkers] = step.alarmed
-        added = (  # In the order of `_COUNTS`.
-            step.reward,
-            step.shaped,
-            live,
-            step.began,
-            step.control,
-            step.human_action,
-            step.alarmed,
-            step.alarmed & step.dangerous,
-            step.alarmed & ~step.dangerous,
-            step.boundary,
-        )
-        np.add(self._totals, added, out=self._totals, where=live)
-        ended = live & (step.terminated | step.truncated | step.human_reset)
-        return [(int(walker), self._finish(int(walker), step)) for walker in ended.nonzero()[0]]
-
-    def _finish(self, walker: int, step: Step) -> Row:
-        totals = dict(zip(_COUNTS, self._totals[:, walker].tolist(), strict=True))
-        fall = bool(step.terminated[walker]) and float(step.reward[walker]) <= FALL_REWARD
-        recent = self._recent[:, walker]
-        oldest = int(totals["length"]) % ALARM_WINDOW
-        # A fall among thousands of walkers is frequent, and NumPy's own roll slow.
-        oldest_first = np.concatenate([recent[oldest:], recent[:oldest]])
-        timely = np.flatnonzero(oldest_first) if fall else np.empty(0, int)
-        row: Row = {
-            "return": totals["return"],
-            "shaped_return": totals["shaped_return"],
-            "length": int(totals["length"]),
-            "interventions": int(totals["interventions"]),
-            "human_steps": int(totals["human_steps"]),
-            "alarms": int(totals["alarms"]),
-            "true_alarms": int(totals["true_alarms"]),
-            "false_alarms": int(totals["false_alarms"]),
-            "fall": int(fall),
-            "end": _how_it_ended(fall, walker, step),
-            "mean_boundary": totals["boundary_sum"] / totals["length"],
-            "final_boundary": float(step.boundary[walker]),
-            "alarms_before_fall": len(timely),
-            "lead_steps": float(ALARM_WINDOW - 1 - timely[0]) if len(timely) else float("nan"),
-        }
-        self.clear(walker)
-        return row
+def row_of(episode: Episode) -> Row:
+    """The measures of an episode that training and test share."""
+    length = len(episode.reward)
+    fall = bool(episode.terminated[-1]) and float(episode.reward[-1]) <= FALL_REWARD
+    alarms = int(episode.alarmed.sum())
+    true_alarms = int((episode.alarmed & episode.dangerous).sum())
+    timely = np.flatnonzero(episode.alarmed[-ALARM_WINDOW:][::-1]) if fall else np.empty(0, int)
+    return {
+        "return": _sum(episode.reward),
+        "shaped_return": _sum(episode.shaped),
+        "length": length,
+        "interventions": int(episode.began.sum()),
+        "human_steps": int(episode.human_action.sum()),
+        "alarms": alarms,
+        "true_alarms": true_alarms,
+        "false_alarms": alarms - true_alarms,
+        "fall": int(fall),
+        "end": _how_it_ended(fall, episode),
+        "mean_boundary": _sum(episode.boundary) / length,
+        "final_boundary": float(episode.boundary[-1]),
+        "alarms_before_fall": len(timely),
+        "lead_steps": float(timely[-1]) if len(timely) else float("nan"),
+    }
 
 
-def _how_it_ended(fall: bool, walker: int, step: Step) -> str:
+def _sum(values: np.ndarray) -> float:
+    """In the order of the steps, as one adds them up while they come."""
+    return float(np.cumsum(values, dtype=float)[-1])
+
+
+def _how_it_ended(fall: bool, episode: Episode) -> str:
     if fall:
         return "fall"
-    if step.terminated[walker]:
+    if episode.terminated[-1]:
         return "goal"
-    return "human-reset" if step.human_reset[walker] else "time-limit"
+    return "human-reset" if episode.human_reset[-1] else "time-limit"

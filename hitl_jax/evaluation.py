@@ -13,10 +13,11 @@ from hitl_jax.acting import ActingState, init_acting
 from hitl_jax.agent import Agent, behavior
 from hitl_jax.config import Method, RunHyper
 from hitl_jax.devices import acting_device
-from hitl_jax.envs import Command, StepBatch, WalkerPool
-from hitl_jax.episodes import EpisodeCounter, Row, Step, fall_at_once
-from hitl_jax.replay import Layout
+from hitl_jax.envs import Command, WalkerPool
+from hitl_jax.episode_log import EpisodeLog
+from hitl_jax.episodes import Row, fall_at_once, row_of
 from hitl_jax.runs import FinishedRun, Run, RunSpec, Snapshot, episode_seed, method_index
+from hitl_jax.steps import complete, episode_of, logged_layout, step_width
 from hitl_jax.types import Behavior
 
 Mode = Literal["autonomous", "assisted"]
@@ -131,15 +132,16 @@ class Evaluator:
         """
         hyper = frozen(hyper, human_present=mode == "assisted")
         # Committed to the acting device, the programs run there, a GPU or not.
-        hyper, params, key = jax.device_put((hyper, params, key), acting_device())
-        state = _init(self._agent, hyper, boundary, key, np.arange(seeds.shape[1]))
-        layout = self._agent.layout
+        placed, params, key = jax.device_put((hyper, params, key), acting_device())
+        state = _init(self._agent, placed, boundary, key, np.arange(seeds.shape[1]))
+        config, layout = self._agent.config, self._agent.layout
+        logged = logged_layout(layout)
         walkers = self._pool.num_walkers
-        counter = EpisodeCounter(walkers)
+        log = EpisodeLog(walkers, step_width(logged))
         rows: list[Row | None] = [None] * walkers
         active = np.arange(walkers) < seeds.size
         action = np.zeros((walkers, layout.action_size), np.float32)
-        decided = np.zeros((walkers, layout.width + len(decisions.EXTRA_COLUMNS)), np.float32)
+        decided = np.zeros((walkers, step_width(layout)), np.float32)
         resets = np.zeros(walkers, np.uint32)
         resets[: seeds.size] = seeds.ravel()
         command = np.where(active, Command.RESET, Command.IDLE).astype(np.uint8)
@@ -147,7 +149,7 @@ class Evaluator:
         while active.any():
             seen = observation[: seeds.size].reshape(*seeds.shape, -1)
             live = active[: seeds.size].reshape(seeds.shape)
-            state, packed = _act(self._agent, hyper, params, state, seen, live)
+            state, packed = _act(self._agent, placed, params, state, seen, live)
             decided[: seeds.size] = np.asarray(packed).reshape(seeds.size, -1)
             # A policy of numbers that are not finite cannot act.
             unable = active & ~np.isfinite(decided).all(axis=1)
@@ -159,8 +161,10 @@ class Evaluator:
                 watch(decided, active)
             command = np.where(active, Command.STEP, Command.IDLE).astype(np.uint8)
             answer = self._pool.step(command, decided[:, layout.action], resets)
-            known = np.full(walkers, hyper.has_arbiter > 0)
-            for walker, row in counter.count(step_of(active, decided, answer, layout, known)):
+            ended = active & complete(decided, answer, layout)
+            log.add(active, decided[:, layout.action.start :])
+            for walker in np.flatnonzero(ended).tolist():
+                row = row_of(episode_of(log.of(walker), logged, config, hyper))
                 rows[walker] = {"mode": mode, "episode": walker % seeds.shape[1] + 1, **row}
                 active[walker] = False
             observation = answer.observation
@@ -201,39 +205,6 @@ def make_examiner(agent: Agent, pool: WalkerPool, episodes: int) -> Examiner:
 def as_tested(agent: Agent) -> Agent:
     """The team in a test, where no intervention is a reset."""
     return agent._replace(config=dataclasses.replace(agent.config, intervention="takeover"))
-
-
-def step_of(
-    live: np.ndarray,
-    decided: np.ndarray,
-    answer: StepBatch,
-    layout: Layout,
-    has_arbiter: np.ndarray,
-) -> Step:
-    """What a tick of a test brought.
-
-    Args:
-        live: which walkers take a step, bool [N].
-        decided: what acting gave, [N, W + 6].
-        answer: of the walkers.
-        layout: columns of what was decided.
-        has_arbiter: whether there is a boundary, bool [N].
-    """
-    flags = decisions.flags_of(decided, layout)
-    return Step(
-        live=live,
-        reward=answer.reward,
-        shaped=answer.reward,  # nothing is learned from a test
-        terminated=answer.terminated,
-        truncated=answer.truncated,
-        human_reset=np.zeros(len(live), bool),
-        control=flags["control"],
-        human_action=flags["human_action"],
-        began=flags["began"],
-        alarmed=flags["alarmed"],
-        dangerous=flags["dangerous"],
-        boundary=np.where(has_arbiter, decided[:, layout.boundary], np.nan),
-    )
 
 
 def init_test(
@@ -378,10 +349,11 @@ def trial_key(spec: RunSpec) -> jax.Array:
 
 
 def frozen(hyper: RunHyper, human_present: bool) -> RunHyper:
-    """The hyperparameters of a test: no exploration, no movement of the boundary."""
+    """The hyperparameters of a test: no exploration, no feedback, no movement of the boundary."""
     return dataclasses.replace(
         hyper,
         human_present=float(human_present),
+        feedback=0.0,
         exploration_noise=0.0,
         boundary_noise=0.0,
         warmup_steps=0,

@@ -12,21 +12,20 @@ A slot is a column of the batch. Runs wait in a queue for a slot; a run that is 
 at once, and takes no more time. Nothing a run computes depends on its slot or on its neighbours.
 """
 
-import dataclasses
-import operator
 from collections import deque
 from collections.abc import Iterator, Sequence
 
-import jax
 import numpy as np
 
-from hitl_jax import arbiter, batch, decisions, recording
+from hitl_jax import batch, recording
 from hitl_jax.agent import Agent, behavior
 from hitl_jax.config import require, typed
-from hitl_jax.devices import default_tile, learning_devices
-from hitl_jax.envs import StepBatch, WalkerPool
+from hitl_jax.decisions import CHECKED_COLUMNS, flag_of
+from hitl_jax.devices import learning_devices
+from hitl_jax.envs import WalkerPool
 from hitl_jax.episode_log import EpisodeLog
-from hitl_jax.episodes import EpisodeCounter, Row, Step
+from hitl_jax.episodes import row_of
+from hitl_jax.learner_side import LearnerSide
 from hitl_jax.recording import STEP_COLUMNS, Recording, names_of
 from hitl_jax.run_key import RunKey
 from hitl_jax.runs import (
@@ -40,11 +39,15 @@ from hitl_jax.runs import (
     method_index,
 )
 from hitl_jax.saved import SavedRun, between_episodes, bring_back, facts_of, require_shapes
-from hitl_jax.stages import Slots, finite_rows, make_stage
-from hitl_jax.types import Behavior, TrainState
-
-LAG = 2
-"""Calls of the learner that may be under way while the walkers play; see the module."""
+from hitl_jax.stages import Slots, make_stage
+from hitl_jax.steps import (
+    complete,
+    episode_of,
+    frames_of,
+    logged_layout,
+    recorded_steps,
+    step_width,
+)
 
 
 class Rollout:
@@ -78,35 +81,23 @@ class Rollout:
         self._config = config
         self._layout = agent.layout
         slots = pool.num_walkers
-        self._devices = learning_devices()
-        self._share = slots // len(self._devices)
         _check(agent, pool, config)
-        self._num_updates = config.num_updates(agent.config.task_learner.policy_delay)
-        self._programs = batch.make_programs(
-            agent, self._num_updates, default_tile(slots) if tile is None else tile
-        )
-        self._stage = make_stage(agent, pool, self._programs)
+        self._saved = {} if saved is None else saved
+        longest = max((len(run.frames) for run in self._saved.values()), default=0)
+        self._learner = LearnerSide(agent, config, slots, tile, longest)
+        self._stage = make_stage(agent, pool, self._learner.programs)
         self._acting_shape = self._stage.words().shape[1:]
-        self._seats = [
-            batch.empty_seats(agent, self._share, config.frames, device) for device in self._devices
-        ]
-        self._learned = deque(
-            [self._programs.pack_behavior(seats.train) for seats in self._seats]
-            for _ in range(LAG + 1)
-        )
 
         self._saves = saved is not None
-        self._saved = {} if saved is None else saved
         self._recent = [np.zeros((slots, 0, self._layout.width), np.float32)]
-        self._step_width = pool.action_size + len(STEP_COLUMNS)
+        self._logged = logged_layout(agent.layout)
+        self._recorded_width = pool.action_size + len(STEP_COLUMNS)
         self._unsaved = np.zeros(slots, int)  # frames since a run was seated or saved
-        self._log = EpisodeLog(slots, self._step_width)
-        longest = max((len(run.frames) for run in self._saved.values()), default=0)
-        self._seats = [self._programs.begin_ring(seats, longest) for seats in self._seats]
+        self._log = EpisodeLog(slots, step_width(self._logged))
+        self._intervened = np.zeros(slots, bool)  # in the episode under way, before this chunk
         self._queue = deque(sorted(specs, key=lambda spec: spec.key not in self._saved))
         self._runs: list[Run | None] = [None] * slots
         self._held: set[RunKey] = set()
-        self._counter = EpisodeCounter(slots)
         self._slots = Slots(
             active=np.zeros(slots, bool),
             needs_reset=np.zeros(slots, bool),
@@ -116,8 +107,7 @@ class Rollout:
             observation=np.zeros((slots, pool.observation_size), np.float32),
         )
         self._feedback = np.zeros(slots)
-        self._has_arbiter = np.zeros(slots, bool)
-        self._seat_all(self._slot_order())
+        self._seat_all(self._learner.order())
 
     def __iter__(self) -> Iterator[list[FinishedRun]]:
         """Plays chunk after chunk; gives the runs that finished in each.
@@ -130,8 +120,9 @@ class Rollout:
                 yield [self.collect(run) for run in ended]
                 self._replace(self._not_held(ended))
                 continue
-            finite = self._stage.prepare(self._learned.popleft())  # Waits for the learner.
+            packed, finite = self._learner.parameters()
             self._stop_diverged("parameters", finite)
+            self._stage.prepare(packed)
             frames = self._play()
             for run in self.runs():
                 self._keep_snapshots(run)
@@ -160,7 +151,7 @@ class Rollout:
 
     def collect(self, run: Run) -> FinishedRun:
         """What a run has become so far; for a run that is seated."""
-        return FinishedRun(run, self._train_of(run), self._boundary_of(run))
+        return FinishedRun(run, self._learner.train_of(run.slot), self._boundary_of(run))
 
     def save(self) -> list[SavedRun]:
         """The runs that are under way, have just ended, or were saved and wait for a slot.
@@ -168,28 +159,22 @@ class Rollout:
         Between two chunks; waits for the learner; only with `saved` given at the start. The frames
         are those since the runs were saved before.
         """
-        # Copies: with a view of it about, the learner could not change the array in place.
-        words = [np.array(seats.train) for seats in self._seats]
-        learned = [[np.asarray(part) for part in waiting] for waiting in self._learned]
+        train, learned = self._learner.save()
         acting = self._stage.words()
         recent = np.concatenate(self._recent, axis=1)
         saved = [run.without_new_frames() for run in self._saved.values()]
         for run in self.runs():
-            device, column = divmod(run.slot, self._share)
-            totals, alarms = self._counter.state_of(run.slot)
             saved.append(
                 SavedRun(
                     facts=facts_of(run, begun=not self._slots.needs_reset[run.slot]),
-                    train=words[device][column],
+                    train=train[run.slot],
                     acting=acting[run.slot],
-                    behavior=np.stack([waiting[device][column] for waiting in learned]),
+                    behavior=learned[run.slot],
                     snapshots=np.array([batch.flat(kept.behavior) for kept in run.snapshots]),
                     boundaries=np.array([kept.boundary for kept in run.snapshots]),
                     observation=self._slots.observation[run.slot].copy(),
                     steps=self._log.of(run.slot),
-                    recordings=recording.join(run.recordings, self._step_width),
-                    totals=totals,
-                    alarms=alarms,
+                    recordings=recording.join(run.recordings, self._recorded_width),
                     frames=recent[run.slot, max(recent.shape[1] - self._unsaved[run.slot], 0) :],
                 )
             )
@@ -199,7 +184,7 @@ class Rollout:
 
     def wait(self) -> None:
         """Returns when the learner has nothing left to do."""
-        jax.block_until_ready([seats.train for seats in self._seats])
+        self._learner.wait()
 
     def _not_held(self, runs: Sequence[Run]) -> list[Run]:
         return [run for run in runs if run.spec.key not in self._held]
@@ -210,11 +195,6 @@ class Rollout:
         for slot in slots:
             self._runs[slot] = None
         self._seat_all(slots)
-
-    def _slot_order(self) -> list[int]:
-        """Slots such that neighbours in the queue go to different devices."""
-        slots = np.arange(len(self._runs)).reshape(len(self._devices), self._share)
-        return [int(slot) for slot in slots.T.ravel()]
 
     def _seat_all(self, slots: Sequence[int]) -> None:
         """Gives slots to the next runs in the queue; saved ones go on where they were."""
@@ -228,47 +208,33 @@ class Rollout:
             if saved is not None:
                 self._take_up(slot, saved)
                 if self._slots.live[slot]:
-                    back[slot] = Recording(0, saved.steps).actions
+                    back[slot] = saved.steps[:, self._logged.action]
         bring_back(self._pool, self._slots.seeds[:, 0], back, self._slots.observation)
 
     def _seat(self, slot: int, spec: RunSpec) -> None:
         """Gives a slot to a run at its beginning."""
         learning, acting, _ = batch.run_keys(spec.seed, method_index(spec.method))
         hyper = typed(spec.hyper)
-        device, column = divmod(slot, self._share)
-        train, fresh = jax.device_get(self._programs.begin(learning))
-        self._seats[device] = self._programs.seat(self._seats[device], column, hyper, train)
+        self._learner.seat(slot, hyper, learning)
         self._stage.seat(slot, hyper, acting)
-        for waiting in self._learned:
-            waiting[device] = self._programs.seat_behavior(waiting[device], column, fresh)
         self._runs[slot] = run = Run(spec=spec, slot=slot)
-        self._counter.clear(slot)
         self._unsaved[slot] = 0
         self._log.begin(slot)
+        self._intervened[slot] = False
         self._slots.active[slot] = True
         self._slots.needs_reset[slot] = True
         self._look_ahead(run)
         self._feedback[slot] = spec.hyper.feedback
-        self._has_arbiter[slot] = spec.hyper.has_arbiter > 0
 
     def _take_up(self, slot: int, saved: SavedRun) -> None:
         """Makes of a seated run what it was when it was saved, but for its walker."""
         run = self._runs[slot]
         assert run is not None
-        device, column = divmod(slot, self._share)
-        seats = self._seats[device]
         self._check_fit(saved)
-        cursor = int(seats.memory.cursor)
-        ring = np.zeros((self._config.frames, self._layout.width), np.float32)
         if not self._pool.seedable:
             saved = between_episodes(saved, self._layout)
-        frames = saved.frames[-len(ring) :]
-        ring[np.arange(cursor - len(frames), cursor) % len(ring)] = frames
-        start = np.int32(cursor - len(frames))
-        self._seats[device] = self._programs.restore(seats, column, saved.train, ring, start)
+        self._learner.restore(slot, saved.train, saved.behavior, saved.frames)
         self._stage.restore(slot, saved.acting)
-        for waiting, row in zip(self._learned, saved.behavior, strict=True):
-            waiting[device] = self._programs.seat_behavior(waiting[device], column, row)
         facts = saved.facts
         run.episodes = list(facts["episodes"])
         run.ticks, run.env_steps, run.updates = (
@@ -277,10 +243,10 @@ class Rollout:
         run.started -= facts["seconds"]
         run.diverged = Divergence(*facts["diverged"]) if facts["diverged"] else None
         due = run.spec.snapshots[: len(saved.snapshots)]
-        kept = zip(due, self._behaviors(saved.snapshots), saved.boundaries, strict=True)
+        kept = zip(due, self._learner.behaviors(saved.snapshots), saved.boundaries, strict=True)
         run.snapshots = [Snapshot(*one) for one in kept]
-        self._counter.restore(slot, saved.totals, saved.alarms)
         self._log.begin(slot, saved.steps)
+        self._intervened[slot] = flag_of(saved.steps, self._logged, "control").any()
         run.recordings = recording.split(facts["recordings"], saved.recordings)
         run.done = len(run.episodes) >= run.spec.episodes or run.diverged is not None
         self._slots.active[slot] = not run.done
@@ -290,66 +256,58 @@ class Rollout:
 
     def _check_fit(self, saved: SavedRun) -> None:
         """Raises CannotReturn unless the arrays are as this agent's are."""
-        learned = jax.eval_shape(self._programs.pack_behavior, self._seats[0].train).shape[1]
-        words = self._seats[0].train.shape[1]
-        totals, alarms = self._counter.state_of(0)
+        shapes = self._learner.shapes()
         expected = {
-            "train": (words,),
+            **shapes,
             "acting": self._acting_shape,
-            "behavior": (LAG + 1, learned),
             "observation": (self._layout.observation_size,),
-            "totals": totals.shape,
-            "alarms": alarms.shape,
             "frames": (len(saved.frames), self._layout.width),
-            "steps": (len(saved.steps), self._step_width),
-            "recordings": (len(saved.recordings), self._step_width),
-            "snapshots": (len(saved.snapshots), *[learned] * bool(len(saved.snapshots))),
+            "steps": (len(saved.steps), step_width(self._logged)),
+            "recordings": (len(saved.recordings), self._recorded_width),
+            "snapshots": (
+                len(saved.snapshots),
+                *shapes["behavior"][1:] * bool(len(saved.snapshots)),
+            ),
         }
         require_shapes(saved, expected)
-
-    def _behaviors(self, rows: np.ndarray) -> list[Behavior]:
-        """What acting needs, from packed rows [K, B]."""
-        if not len(rows):
-            return []
-        several = jax.device_get(self._programs.unpack_behavior([rows]))
-        return [jax.tree.map(operator.itemgetter(k), several) for k in range(len(rows))]
 
     def _keep_snapshots(self, run: Run) -> None:
         """Keeps those whose episodes have ended in this chunk; there may be several."""
         left = run.spec.snapshots[len(run.snapshots) :]
         due = [episode for episode in left if episode <= len(run.episodes) or run.diverged]
         if due:
-            learned, boundary = behavior(self._train_of(run)), self._boundary_of(run)
+            learned, boundary = behavior(self._learner.train_of(run.slot)), self._boundary_of(run)
             run.snapshots += [Snapshot(episode, learned, boundary) for episode in due]
-
-    def _train_of(self, run: Run) -> TrainState:
-        """A run's training state as NumPy arrays, without its key."""
-        device, column = divmod(run.slot, self._share)
-        train = self._programs.unpack_train(self._seats[device].train, column)
-        fetched: TrainState = jax.device_get(dataclasses.replace(train, key=None))
-        return fetched
 
     def _boundary_of(self, run: Run) -> np.ndarray:
         return self._stage.boundaries()[run.slot]
 
     def _play(self) -> np.ndarray:
         """One chunk of ticks; the frames for the replay, [R, U, W]."""
-        frames = np.zeros((len(self._runs), self._config.chunk, self._layout.width), np.float32)
-        slots = self._slots
+        layout, slots = self._layout, self._slots
+        shape = len(self._runs), self._config.chunk, step_width(layout)
+        steps = np.zeros(shape, np.float32)
         for place, tick in enumerate(self._stage.ticks(slots, self._config.chunk)):
-            live, decided = slots.live, tick.decided
-            if not np.isfinite(decided).all():
-                for name in decisions.CHECKED_COLUMNS:
-                    part = decided[:, getattr(self._layout, name)]
-                    self._stop_diverged(name, finite_rows(part) | ~live)
+            live, step = slots.live, steps[:, place]
+            step[:] = tick.decided
+            if not np.isfinite(step).all():
+                for name in CHECKED_COLUMNS:
+                    part = step[:, getattr(layout, name)].reshape(len(step), -1)
+                    self._stop_diverged(name, np.isfinite(part).all(axis=1) | ~live)
                 live &= slots.active
             answer = tick.answer(live)
             if not np.isfinite(answer.reward).all():
                 self._stop_diverged("reward", np.isfinite(answer.reward) | ~live)
                 live &= slots.active
-            frames[:, place] = decided[:, : self._layout.width]
-            self._record(live, decided, answer, frames[:, place])
+            ended = live & complete(step, answer, layout)
+            self._log.add(live, step[:, layout.action.start :])
+            slots.needs_reset[:] = False
             slots.observation = answer.observation
+            for slot in np.flatnonzero(ended).tolist():
+                self._end_episode(slot)
+        frames, self._intervened = frames_of(
+            steps, layout, self._agent.config, self._feedback, self._intervened
+        )
         for run in self.runs():
             run.ticks += self._config.chunk
         self._unsaved += self._config.chunk
@@ -359,52 +317,16 @@ class Rollout:
                 del self._recent[0]  # The replay has forgotten it.
         return frames
 
-    def _record(
-        self, live: np.ndarray, decided: np.ndarray, answer: StepBatch, frame: np.ndarray
-    ) -> None:
-        """Books one tick, and writes into its frames, [R, W], what the plant told."""
-        layout, config = self._layout, self._agent.config
-        flags = decisions.flags_of(decided, layout)
-        human_reset = live & flags["human_reset"]
-        terminated = answer.terminated | (human_reset & config.human_reset_terminates)
-        truncated = (answer.truncated | human_reset) & ~terminated
-        shaped = arbiter.shaped_reward(
-            answer.reward,
-            flags["control"],
-            self._feedback,
-            config.feedback_schedule,
-            terminated | truncated,
-            self._counter.intervened(flags["control"]),
-        )
-        frame[:, layout.reward] = np.where(live, shaped, 0.0)
-        frame[:, layout.terminated] = live & terminated
-        frame[:, layout.truncated] = live & truncated
-        step = Step(
-            live=live,
-            reward=answer.reward,
-            shaped=shaped,
-            terminated=answer.terminated,
-            truncated=answer.truncated,
-            human_reset=human_reset,
-            control=flags["control"],
-            human_action=flags["human_action"],
-            began=flags["began"],
-            alarmed=flags["alarmed"],
-            dangerous=flags["dangerous"],
-            boundary=np.where(self._has_arbiter, decided[:, layout.boundary], np.nan),
-        )
-        self._log.add(live, decisions.recorded_steps(decided, layout, self._has_arbiter))
-        self._slots.needs_reset[:] = False
-        for slot, row in self._counter.count(step):
-            self._end_episode(slot, row)
-
-    def _end_episode(self, slot: int, row: Row) -> None:
+    def _end_episode(self, slot: int) -> None:
         run = self._runs[slot]
         assert run is not None
-        run.env_steps += row["length"]
+        steps, hyper = self._log.of(slot), run.spec.hyper
+        row = row_of(episode_of(steps, self._logged, self._agent.config, hyper))
+        run.env_steps += len(steps)
         run.episodes.append({"episode": len(run.episodes) + 1, "env_steps": run.env_steps, **row})
         for name in names_of(run.episodes, run.recordings):
-            run.recordings[name] = Recording(len(run.episodes), self._log.of(slot))
+            kept = recorded_steps(steps, self._logged, hyper)
+            run.recordings[name] = Recording(len(run.episodes), kept)
         self._log.begin(slot)
         slots, ended = self._slots, len(run.episodes)
         slots.needs_reset[slot] = True
@@ -430,31 +352,21 @@ class Rollout:
         for slot in np.flatnonzero(self._slots.active & ~finite).tolist():
             run = self._runs[slot]
             assert run is not None
-            steps = run.env_steps + self._counter.length_of(slot)
+            steps = run.env_steps + self._log.length_of(slot)
             run.diverged = Divergence(quantity, steps, len(run.episodes))
             run.done = True
             self._slots.active[slot] = False
 
     def _learn(self, frames: np.ndarray) -> None:
         """Starts the learner on a chunk; does not wait for it."""
-        columns: list[list[int]] = [[] for _ in self._devices]
+        slots = []
         for run in self.runs():
             needed = max(2 * self._config.chunk, self._agent.config.n_step + 2)
             warm = max(run.spec.hyper.warmup_steps, needed)
             if not run.done and run.ticks >= warm:
-                device, column = divmod(run.slot, self._share)
-                columns[device].append(column)
-                run.updates += self._num_updates
-        learned: list[jax.Array] = []
-        for device, listed in enumerate(columns):
-            slots = np.zeros(self._share, np.int32)
-            slots[: len(listed)] = listed
-            rows = frames[device * self._share : (device + 1) * self._share]
-            self._seats[device], after = self._programs.learn(
-                self._seats[device], rows, slots, np.int32(len(listed))
-            )
-            learned.append(after)
-        self._learned.append(learned)
+                slots.append(run.slot)
+                run.updates += self._learner.num_updates
+        self._learner.learn(frames, slots)
 
 
 def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:

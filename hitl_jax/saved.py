@@ -34,10 +34,9 @@ class SavedRun(NamedTuple):
         snapshots: what acting needed at each snapshot, packed, [K, B].
         boundaries: the boundary source's carry at each snapshot, [K] or [K, C].
         observation: s_t, [O].
-        steps: of the episode under way, [T, W]; see `hitl_jax.recording`.
-        recordings: steps of the recorded episodes, one after the other, [T, W].
-        totals: of the episode under way, [...]; see `EpisodeCounter`.
-        alarms: of its last steps, bool [k].
+        steps: of the episode under way, [T, A + 13]; see `hitl_jax.steps`.
+        recordings: steps of the recorded episodes, one after the other, [T, A + 5]; see
+            `hitl_jax.recording`.
         frames: for the replay, newest last, [F, W]: those since the run was saved before, or all
             that are still needed.
     """
@@ -51,8 +50,6 @@ class SavedRun(NamedTuple):
     observation: np.ndarray
     steps: np.ndarray
     recordings: np.ndarray
-    totals: np.ndarray
-    alarms: np.ndarray
     frames: np.ndarray
 
     @property
@@ -130,8 +127,6 @@ def between_episodes(saved: SavedRun, layout: Layout) -> SavedRun:
         facts=saved.facts | {"begun": False},
         frames=frames,
         steps=saved.steps[:0],
-        totals=np.zeros_like(saved.totals),
-        alarms=np.zeros_like(saved.alarms),
     )
 
 

@@ -61,14 +61,11 @@ class Tick(Protocol):
 class Stage(Protocol):
     """Plays ticks with what acting needs of all runs' parameters."""
 
-    def prepare(self, packed: list[jax.Array]) -> np.ndarray:
+    def prepare(self, packed: list[jax.Array]) -> None:
         """Takes parameters for the next chunk.
 
         Args:
-            packed: of each learning device, [R / D, P].
-
-        Returns:
-            Whether all of a run's are finite, bool [R].
+            packed: of each learning device, [R / D, B].
         """
         ...
 
@@ -144,10 +141,9 @@ class HostStage:
         self._device = acting_device()
         self._acting = batch.empty_acting(agent, pool.num_walkers, self._device)
 
-    def prepare(self, packed: list[jax.Array]) -> np.ndarray:
+    def prepare(self, packed: list[jax.Array]) -> None:
         """See `Stage`."""
         self._behavior = self._programs.unpack_behavior(jax.device_put(packed, self._device))
-        return np.concatenate([finite_rows(rows) for rows in packed])
 
     def ticks(self, slots: Slots, count: int) -> Iterator[Tick]:
         """See `Stage`."""
@@ -173,9 +169,3 @@ class HostStage:
     def boundaries(self) -> np.ndarray:
         """See `Stage`."""
         return np.asarray(self._programs.boundaries(self._acting))
-
-
-def finite_rows(*arrays: chex.Array) -> np.ndarray:
-    """Whether all that arrays [R, ...] hold of a run is finite, bool [R]."""
-    rows = [np.isfinite(np.asarray(array)).reshape(len(array), -1) for array in arrays]
-    return np.all([row.all(axis=1) for row in rows], axis=0)

@@ -2,47 +2,34 @@ import math
 
 import numpy as np
 
-from hitl_jax.episodes import ALARM_WINDOW, EpisodeCounter, Step
+from hitl_jax.episodes import ALARM_WINDOW, Episode, row_of
 
 
-def _step(**changes):
-    """One tick of two walkers; the second takes no step."""
-    base = {
-        "live": [True, False],
-        "reward": [1.0, 50.0],
-        "shaped": [1.0, 50.0],
-        "terminated": [False, True],
-        "truncated": [False, False],
-        "human_reset": [False, False],
-        "control": [False, True],
-        "human_action": [False, True],
-        "began": [False, True],
-        "alarmed": [False, True],
-        "dangerous": [False, True],
-        "boundary": [0.5, 9.0],
-    }
-    return Step(**{name: np.array(value) for name, value in (base | changes).items()})
+def _episode(length, **changes):
+    """An episode of equal steps, cut off by the time limit; lists say what its last steps were."""
+    flags = ("began", "human_action", "alarmed", "dangerous", "terminated", "human_reset")
+    columns = {name: np.zeros(length, bool) for name in flags}
+    columns |= {"reward": np.ones(length), "shaped": np.ones(length)}
+    columns["boundary"] = np.full(length, 0.5)
+    for name, values in changes.items():
+        columns[name][-len(values) :] = values
+    return Episode(**columns)
 
 
 def test_counts_by_hand():
-    counter = EpisodeCounter(2)
-    assert counter.count(_step()) == []
-    assert counter.count(_step(alarmed=[True, True], boundary=[0.7, 9.0])) == []
-    ended = counter.count(
-        _step(
-            reward=[-100.0, 0.0],
-            shaped=[-120.0, 0.0],
-            terminated=[True, True],
-            control=[True, True],
-            human_action=[True, True],
-            began=[True, True],
+    row = row_of(
+        _episode(
+            3,
+            reward=[-100.0],
+            shaped=[-120.0],
+            terminated=[True],
+            human_action=[True],
+            began=[True],
             alarmed=[True, True],
-            dangerous=[True, True],
-            boundary=[0.6, 9.0],
+            dangerous=[True],
+            boundary=[0.7, 0.6],
         )
     )
-    ((walker, row),) = ended
-    assert walker == 0
     assert row["return"] == -98.0
     assert row["shaped_return"] == -118.0
     assert (row["length"], row["interventions"], row["human_steps"]) == (3, 1, 1)
@@ -55,34 +42,31 @@ def test_counts_by_hand():
     assert (row["alarms_before_fall"], row["lead_steps"]) == (2, 1.0)
 
 
-def test_totals_start_again_after_an_episode():
-    counter = EpisodeCounter(2)
-    counter.count(_step(truncated=[True, False], alarmed=[True, False]))
-    ((_, row),) = counter.count(_step(truncated=[True, False]))
-    assert (row["return"], row["length"], row["alarms"]) == (1.0, 1, 0)
-
-
 def test_ends():
     def end(**changes):
-        ((_, row),) = EpisodeCounter(2).count(_step(**changes))
+        row = row_of(_episode(2, **changes))
         return row["end"], row["fall"]
 
-    assert end(terminated=[True, False]) == ("goal", 0)
-    assert end(terminated=[True, False], reward=[-100.0, 0.0]) == ("fall", 1)
-    assert end(truncated=[True, False]) == ("time-limit", 0)
-    assert end(human_reset=[True, False]) == ("human-reset", 0)
-    assert end(human_reset=[True, False], terminated=[True, False], reward=[-100.0, 0]) == (
-        "fall",
-        1,
-    )
+    assert end(terminated=[True]) == ("goal", 0)
+    assert end(terminated=[True], reward=[-100.0]) == ("fall", 1)
+    assert end() == ("time-limit", 0)
+    assert end(human_reset=[True]) == ("human-reset", 0)
+    assert end(human_reset=[True], terminated=[True], reward=[-100.0]) == ("fall", 1)
 
 
 def test_alarms_older_than_the_window_do_not_count():
-    counter = EpisodeCounter(2)
-    counter.count(_step(alarmed=[True, False]))
-    for _ in range(ALARM_WINDOW - 1):
-        counter.count(_step())
-    ((_, row),) = counter.count(_step(terminated=[True, False], reward=[-100.0, 0.0]))
-    assert row["alarms"] == 1
-    assert row["alarms_before_fall"] == 0
+    fall = {"terminated": [True], "reward": [-100.0]}
+    early = [True] + [False] * ALARM_WINDOW
+    row = row_of(_episode(ALARM_WINDOW + 1, alarmed=early, **fall))
+    assert (row["alarms"], row["alarms_before_fall"]) == (1, 0)
     assert math.isnan(row["lead_steps"])
+    row = row_of(_episode(ALARM_WINDOW + 1, alarmed=early[:-1], **fall))
+    assert (row["alarms_before_fall"], row["lead_steps"]) == (1, ALARM_WINDOW - 1.0)
+
+
+def test_rewards_are_added_in_the_order_of_the_steps():
+    rewards = np.random.default_rng(0).normal(size=1000).astype(np.float32)
+    total = 0.0
+    for reward in rewards:
+        total += float(reward)
+    assert row_of(_episode(1000, reward=rewards))["return"] == total

@@ -11,7 +11,7 @@ been played stays as it was: alarms, control, steps.
 
 import dataclasses
 import zlib
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ from hitl_jax.acting import ActingState, begin_episode, init_acting
 from hitl_jax.config import typed
 from hitl_jax.devices import acting_device
 from hitl_jax.envs import WalkerError
-from hitl_jax.episodes import EpisodeCounter, Row, Step
+from hitl_jax.episodes import Episode, Row, row_of
 from hitl_jax.live import person
 from hitl_jax.live.books import Books
 from hitl_jax.live.labels import Label, judged
@@ -93,7 +93,7 @@ class Session:
         self._learning = Learning(agent, self._hyper, setup.loop, train)
         self._behavior = self._learned()
         self._books = Books(agent, self._hyper, setup.loop.frames, setup.with_person)
-        self._counter = EpisodeCounter(1)
+        self._steps: list[tuple[Any, ...]] = []
         self.labels: list[Label] = []
         self._said = 0
         self._heard = False
@@ -299,20 +299,19 @@ class Session:
         layout = self.setup.agent.layout
         [frame] = self._books.frames(number, number + 1)
         told = {
-            "live": True,
             "reward": answer.reward,
             "shaped": frame[layout.reward],
             "terminated": answer.terminated,
-            "truncated": answer.truncated,
             "boundary": frame[layout.boundary],
         }
-        step = Step(**{name: np.array([value]) for name, value in (flags | told).items()})
+        self._steps.append(tuple((flags | told)[name] for name in Episode._fields))
         self.interventions += flags["began"]
         self.returned += answer.reward
-        rows = self._counter.count(step)
-        if not rows:
+        if not self._ended:
             return None
-        row: Row = {"episode": len(self.episodes) + 1, "env_steps": self.env_steps, **rows[0][1]}
+        episode = Episode(*map(np.array, zip(*self._steps, strict=True)))
+        numbers = {"episode": len(self.episodes) + 1, "env_steps": self.env_steps}
+        row: Row = numbers | row_of(episode)
         self.episodes.append(row)
         return row
 
@@ -321,6 +320,7 @@ class Session:
         seed = episode_seed(phase, self.setup.seed, len(self.episodes))
         self._observation = self.plant.reset(seed)
         self._step, self._ended = 0, False
+        self._steps = []
         self.interventions, self.returned = 0, 0.0
         self._look()
 
