@@ -56,13 +56,17 @@ def default_tile(slots: int) -> int:
 
 
 def acting_device() -> jax.Device:
-    """A CPU device to itself, or acting would queue behind the learner."""
-    return cpu_device(_ACTING)
+    """A CPU device to itself, or acting would queue behind the learner.
+
+    Its programs run on the thread that calls them, which has nothing else to do: to hand one over
+    to another thread and to be woken takes as long as to act.
+    """
+    return cpu_device(_ACTING, own_thread=False)
 
 
 @functools.cache
-def cpu_device(name: str, nice: int = 0) -> jax.Device:
-    """A CPU device whose programs run on a thread of its own.
+def cpu_device(name: str, nice: int = 0, own_thread: bool = True) -> jax.Device:
+    """A CPU device whose programs run on a thread of its own, or on the one that calls them.
 
     The devices of one XLA client share its threads, which pass pieces of a program from core to
     core and from cache to cache: the learner of 30 runs takes 1.3 to 1.4 times as long. So each
@@ -74,21 +78,22 @@ def cpu_device(name: str, nice: int = 0) -> jax.Device:
     Args:
         name: any; the same name gives the same device.
         nice: by how much its threads go last, on Linux.
+        own_thread: whether programs run on its own.
     """
     nice = nice if sys.platform == "linux" else 0
     with ThreadPoolExecutor(
         1
     ) as starter:  # A client's threads inherit from the one that starts it.
-        return starter.submit(_start, nice).result()
+        return starter.submit(_start, nice, own_thread).result()
 
 
-def _start(nice: int) -> jax.Device:
+def _start(nice: int, own_thread: bool) -> jax.Device:
     if nice:
         os.nice(nice)  # Of this thread alone, on Linux, and added to what the process has.
     before = os.environ.get("NPROC")
     os.environ["NPROC"] = "1"  # where XLA's CPU client looks up how many threads to start
     try:
-        client = xla_client.make_cpu_client(num_devices=1)
+        client = xla_client.make_cpu_client(asynchronous=own_thread, num_devices=1)
     finally:
         del os.environ["NPROC"]
         if before is not None:
