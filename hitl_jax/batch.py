@@ -95,7 +95,8 @@ class Programs(NamedTuple):
             copy of what acting needs of them; donates. The first `count` of `slots` learn.
         pack_behavior: training states as words [R, P] to `Packed`.
         seat_behavior: (`Packed`, slot, row [B]) to `Packed`, for a fresh run in `slot`; donates.
-        unpack_behavior: (rows of `Packed` of each device) to what acting needs of all runs, one
+        unpack_behavior: (rows of `Packed` of each device, and, where they are in the host's memory,
+            any array of the device on which it shall happen) to what acting needs of all runs, one
             device after the other.
         boundaries: acting to the carry of each run's boundary source, [R] or [R, K].
         unpack_train: (training states as words [R, P], slot) to that of the run in `slot`.
@@ -112,7 +113,7 @@ class Programs(NamedTuple):
     learn: Callable[..., tuple[Seats, Packed]]
     pack_behavior: Callable[[chex.Array], Packed]
     seat_behavior: Callable[..., Packed]
-    unpack_behavior: Callable[[Sequence[chex.Array]], Behavior]
+    unpack_behavior: Callable[..., Behavior]
     boundaries: Callable[[Acting], chex.Array]
     unpack_train: Callable[..., TrainState]
     restore: Callable[..., Seats]
@@ -257,7 +258,7 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         learn=learn,
         pack_behavior=jax.jit(functools.partial(_pack_behavior, agent)),
         seat_behavior=jax.jit(seat_behavior, donate_argnums=0),
-        unpack_behavior=jax.jit(functools.partial(_unpack_behavior, agent)),
+        unpack_behavior=jax.jit(functools.partial(_unpack_behavior, agent), keep_unused=True),
         boundaries=jax.jit(boundaries),
         unpack_train=jax.jit(lambda words, slot: unpack(_some_train(agent), words[slot])),
         restore=jax.jit(restore, donate_argnums=0),
@@ -304,8 +305,11 @@ def _pack_behavior(agent: Agent, train: chex.Array) -> Packed:
     return Packed(rows, jnp.isfinite(rows).all(axis=1))
 
 
-def _unpack_behavior(agent: Agent, packed: Sequence[chex.Array]) -> Behavior:
+def _unpack_behavior(
+    agent: Agent, packed: Sequence[chex.Array], beside: chex.Array | None = None
+) -> Behavior:
     """What acting needs of runs, leaves [R, ...], from arrays of some of them, [.., B]."""
+    del beside  # It has told the device.
     leaves, structure = jax.tree.flatten(agents.behavior(_some_train(agent)))
     ends = np.cumsum([leaf.size for leaf in leaves])
     # Split before they are joined: all is copied once.

@@ -187,6 +187,8 @@ class Rollout:
         self._learner.wait()
 
     def _not_held(self, runs: Sequence[Run]) -> list[Run]:
+        if not self._held:
+            return list(runs)
         return [run for run in runs if run.spec.key not in self._held]
 
     def _replace(self, ended: Sequence[Run]) -> None:
@@ -303,7 +305,7 @@ class Rollout:
             self._log.add(live, step[:, layout.action.start :])
             slots.needs_reset[:] = False
             slots.observation = answer.observation
-            for slot in np.flatnonzero(ended).tolist():
+            for slot in ended.nonzero()[0].tolist():
                 self._end_episode(slot)
         frames, self._intervened = frames_of(
             steps, layout, self._agent.config, self._feedback, self._intervened

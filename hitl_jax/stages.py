@@ -143,7 +143,9 @@ class HostStage:
 
     def prepare(self, packed: list[jax.Array]) -> None:
         """See `Stage`."""
-        self._behavior = self._programs.unpack_behavior(jax.device_put(packed, self._device))
+        # As the host sees them, without a copy: `jax.device_put` would take as long as unpacking.
+        rows = [np.asarray(part) for part in packed]
+        self._behavior = self._programs.unpack_behavior(rows, self._acting.hyper)
 
     def ticks(self, slots: Slots, count: int) -> Iterator[Tick]:
         """See `Stage`."""

@@ -53,18 +53,18 @@ class _Worker:
             worker's is held by the pool: each wakes the next.
         reply: file descriptor on which it answers.
         log: what it wrote to stdout and stderr; read only if it fails.
+        poll: tells when there is something to read from `reply`.
     """
 
     index: int
     process: subprocess.Popen[bytes]
     reply: int
     log: IO[bytes]
+    poll: select.poll
 
     def has_answered(self, seconds: float) -> bool:
         """Whether there is something to read, or will be so soon; also where its pipe is closed."""
-        poll = select.poll()
-        poll.register(self.reply, select.POLLIN)
-        return bool(poll.poll(1000 * seconds))
+        return bool(self.poll.poll(1000 * seconds))
 
     def fate(self) -> str:
         """How it ended, in one line."""
@@ -159,7 +159,7 @@ class WorkerPool(CheckedPool):
         except WalkerError:
             self.close()
             raise
-        for walker in np.flatnonzero(command == Command.RESET).tolist():
+        for walker in (command == Command.RESET).nonzero()[0].tolist():
             self._log.begin(walker)
             self._seeds[walker] = arrays.seed[walker]
         self._log.add(command == Command.STEP, arrays.action)
@@ -316,7 +316,9 @@ def _launch(
         raise
     finally:
         os.close(answer)
-    return _Worker(index, process, reply, log)
+    poll = select.poll()
+    poll.register(reply, select.POLLIN)
+    return _Worker(index, process, reply, log, poll)
 
 
 def _anonymous_file() -> int:
