@@ -30,8 +30,6 @@ def _run(ticks, new, key=_KEY):
         observation=np.full(2, ticks, np.float32),
         steps=np.zeros((0, 9), np.float32),
         recordings=np.zeros((0, 9), np.float32),
-        totals=np.zeros(2),
-        alarms=np.zeros(3, bool),
         frames=np.arange(ticks - new, ticks, dtype=np.float32)[:, None],
     )
 
