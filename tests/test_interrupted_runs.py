@@ -3,6 +3,7 @@
 The compiled programs are those of test_rollout.
 """
 
+import dataclasses
 import itertools
 
 import jax
@@ -95,6 +96,30 @@ def test_runs_go_on_bit_for_bit_however_often_they_are_stopped(uninterrupted, tm
     assert finished.keys() == uninterrupted.keys()
     for name, run in finished.items():
         _assert_same(run, uninterrupted[name])
+
+
+def test_an_intervention_before_the_save_is_paid_for_after_it():
+    """Of one save a chunk: with `episode` the feedback comes with the last reward."""
+    config = dataclasses.replace(_CONFIG, intervention="penalty", feedback_schedule="episode")
+    [spec] = [s for s in _SPECS if (s.method, s.seed) == (Method.HITL_FIX, 0)]
+    layout = make_agent(config).layout
+    frames = np.zeros((0, layout.width), np.float32)
+    saved, episodes, paid_late = {}, [], 0
+    while len(episodes) < 6:
+        rollout = Rollout(make_agent(config), [spec], ToyPool(2), _LOOP, tile=2, saved=saved)
+        next(iter(rollout))
+        [run] = rollout.save()
+        frames, episodes = np.concatenate([frames, run.frames]), run.facts["episodes"]
+        saved = {run.key: run._replace(frames=frames)}
+    resets = np.flatnonzero(frames[:, layout.final] == 1.0)
+    for begin, end, row in zip(resets, resets[1:], episodes, strict=False):
+        episode = frames[begin + 1 : end]
+        assert row["length"] == len(episode)
+        assert np.isclose(episode[:, layout.reward].sum(), row["shaped_return"], rtol=1e-5)
+        paid = row["shaped_return"] != row["return"]
+        assert paid == (row["interventions"] > 0)
+        paid_late += paid and begin // _LOOP.chunk != end // _LOOP.chunk
+    assert paid_late
 
 
 def test_runs_that_ended_when_they_were_saved_are_given_at_once(uninterrupted):
