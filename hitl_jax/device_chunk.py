@@ -62,7 +62,7 @@ def play(
         observation = jnp.where((live | begins)[:, None], step.observation, observation)
         reward = jnp.where(live, step.reward, 0.0)
         active = active & jnp.isfinite(reward)
-        human_reset = decisions.flags_of(decided, layout)["human_reset"]
+        human_reset = decisions.flag_of(decided, layout, "human_reset")
         terminated, truncated = live & step.terminated, live & step.truncated
         ended = live & (terminated | truncated | human_reset)
         left = left - ended

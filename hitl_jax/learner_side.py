@@ -29,7 +29,7 @@ class LearnerSide:
     """
 
     def __init__(
-        self, agent: Agent, config: LoopConfig, slots: int, tile: int | None, cursor: int = 0
+        self, agent: Agent, config: LoopConfig, slots: int, tile: int | None, cursor: int
     ):
         """Places empty seats on the devices.
 
