@@ -28,9 +28,7 @@ class LearnerSide:
         num_updates: updates of the task learner in a call.
     """
 
-    def __init__(
-        self, agent: Agent, config: LoopConfig, slots: int, tile: int | None, cursor: int
-    ):
+    def __init__(self, agent: Agent, config: LoopConfig, slots: int, tile: int | None, cursor: int):
         """Places empty seats on the devices.
 
         Args:
