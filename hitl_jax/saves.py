@@ -17,6 +17,7 @@ import pathlib
 import re
 import shutil
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -121,14 +122,17 @@ class Saves:
         arrays = _read(path)
         with named_errors(path):
             try:
-                return self._assemble(arrays)
+                head = json.loads(_to_text(arrays["head"]))
+                if head["format"] != FORMAT:
+                    told = f"is of format {head['format']}, another version's: must be {FORMAT}"
+                    raise ResultsError(f"{path}: {told}")
+                return self._assemble(head, arrays)
             except (KeyError, TypeError) as error:
                 raise ValueError(f"is not of this program: {error!r}") from error
 
-    def _assemble(self, arrays: dict[str, np.ndarray]) -> tuple[dict[RunKey, SavedRun], Lengths]:
-        head = json.loads(_to_text(arrays["head"]))
-        if head["format"] != FORMAT:
-            raise ValueError(f"is not of format {FORMAT}")
+    def _assemble(
+        self, head: dict[str, Any], arrays: dict[str, np.ndarray]
+    ) -> tuple[dict[RunKey, SavedRun], Lengths]:
         lengths: Lengths = {int(number): names for number, names in head["frames"].items()}
         files = {number: _read(self._file("frames", number)) for number in sorted(lengths)}
         for number, file in files.items():

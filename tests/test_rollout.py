@@ -221,7 +221,8 @@ def _assert_falls(rows):
 def test_parameters_that_are_not_finite_end_a_run(together):
     sick = _spec(Method.SRL, 7, actor_learning_rate=1e30, critic_learning_rate=1e30)
     specs = [sick, *(_spec(method, seed) for method, seed in list(together)[1:])]
-    lost = _play_with_one_lost(specs, ToyPool(6), together)
+    # In four slots: its own goes to another run, which is well.
+    lost = _play_with_one_lost(specs, ToyPool(4), together)
     assert lost.run.spec is sick
     quantity, env_steps, episodes = lost.run.diverged
     assert quantity == "parameters"

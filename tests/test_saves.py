@@ -1,11 +1,13 @@
 """Saves on disk: what comes back, what is kept, and what damage does."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 from test_results import make_episodes
 
+from hitl_jax import saves
 from hitl_jax.files import ResultsError
 from hitl_jax.run_key import RunKey
 from hitl_jax.saved import SavedRun
@@ -98,6 +100,15 @@ def test_a_damaged_save_gives_way_to_the_one_before(folder, cut):
     # The damaged one has gone, the one before it has stayed.
     names = sorted(path.name for path in folder.glob("state-*"))
     assert names == ["state-000001.npz", "state-000003.npz"]
+
+
+def test_a_save_of_another_version_is_refused_in_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(saves, "FORMAT", saves.FORMAT - 1)
+    Saves(tmp_path, _CAPACITY).write([_run(4, 4)])
+    monkeypatch.undo()
+    told = f"is of format {saves.FORMAT - 1}, another version's: must be {saves.FORMAT}"
+    with pytest.raises(ResultsError, match=re.escape(told)):
+        Saves(tmp_path, _CAPACITY).load()
 
 
 @pytest.mark.parametrize("name", ["state-000002.npz", "frames-000002.npz"])
