@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import operator
 from typing import NamedTuple
 
 import chex
@@ -167,7 +166,14 @@ def update(
     Returns:
         The next state and metrics, each [].
     """
-    learner = state.learner
+    target = _target(agent, hyper, state.learner, batch, noise)
+    return _improve(agent, hyper, state, batch, target, update_actor)
+
+
+def _target(
+    agent: Agent, hyper: RunHyper, learner: LearnerState, batch: Transition, noise: chex.Array
+) -> chex.ArrayTree:
+    """TD targets of a minibatch: what the learner's `target` gives, leaves [..., B]."""
     rules = agent.config.task_learner
     next_action = agent.actor.apply(learner.target_actor, batch.next_observation)
     if rules.smooths_target:
@@ -175,7 +181,19 @@ def update(
             next_action, noise, hyper.target_noise, hyper.target_noise_clip
         )
     next_q = agent.critic.apply(learner.target_critic, batch.next_observation, next_action)
-    target = rules.target(batch.reward, batch.discount, next_q)
+    return rules.target(batch.reward, batch.discount, next_q)
+
+
+def _improve(
+    agent: Agent,
+    hyper: RunHyper,
+    state: TrainState,
+    batch: Transition,
+    target: chex.ArrayTree,
+    update_actor: bool,
+) -> tuple[TrainState, losses.Metrics]:
+    """`update` with the TD targets given."""
+    learner, rules = state.learner, agent.config.task_learner
     grads, metrics = jax.grad(rules.critic_loss, has_aux=True)(
         learner.critic, agent.critic.apply, batch, target
     )
@@ -273,19 +291,14 @@ def learn(
 
     key, sample_key, noise_key, boundary_key = jax.random.split(state.key, 4)
     # Everything random is drawn at once: a generator is many small kernels, whatever it draws. Rows
-    # are read at each update: read at once, XLA would find their places anew for every number.
-    shape = (num_updates // delay, delay, config.batch_size)
+    # are read in the loop: read at once, XLA would find their places anew for every number.
+    groups, rows = num_updates // delay, delay * config.batch_size
     drawn = replay.draw(
-        memory,
-        agent.layout,
-        column,
-        sample_key,
-        num_updates * config.batch_size,
-        config.n_step,
-        hyper.gamma,
+        memory, agent.layout, column, sample_key, groups * rows, config.n_step, hyper.gamma
     )
-    drawn = jax.tree.map(lambda leaf: leaf.reshape(shape), drawn)
-    noise = jax.random.normal(noise_key, (*shape, config.action_size))
+    drawn = jax.tree.map(lambda leaf: leaf.reshape(groups, rows), drawn)
+    # Long rows: XLA works along the last axis.
+    noise = jax.random.normal(noise_key, (groups, rows * config.action_size))
     pool = replay.sample_boundary(
         memory, agent.layout, column, boundary_key, config.boundary_batch_size, hyper.gamma
     )
@@ -293,11 +306,15 @@ def learn(
     def several(
         state: TrainState, given: tuple[replay.Draw, chex.Array]
     ) -> tuple[TrainState, None]:
+        draw, noise = given
+        batch = replay.read(memory, agent.layout, column, draw)
+        # Target networks change with the actor alone: all its critics' updates have their targets.
+        target = _target(agent, hyper, state.learner, batch, noise.reshape(rows, -1))
         for index in range(delay):
-            draw, draw_noise = jax.tree.map(operator.itemgetter(index), given)
-            batch = replay.read(memory, agent.layout, column, draw)
-            last = index == delay - 1
-            state, _metrics = update(agent, hyper, state, batch, draw_noise, update_actor=last)
+            part = slice(index * config.batch_size, (index + 1) * config.batch_size)
+            one = jax.tree.map(lambda leaf, part=part: leaf[part], batch)
+            wanted = jax.tree.map(lambda leaf, part=part: leaf[..., part], target)
+            state, _metrics = _improve(agent, hyper, state, one, wanted, index == delay - 1)
         return state, None
 
     state, _ = jax.lax.scan(several, dataclasses.replace(state, key=key), (drawn, noise))

@@ -1,17 +1,18 @@
 """The one place where runs are vmapped: R runs that share nothing but the ring's cursor.
 
-Learning. On a device, a loop takes the runs that are to learn in tiles of a few (`vmap` within a
-tile), and makes all updates of a call on one tile before the next, so that a tile's parameters stay
-in cache. Which runs learn, and how many, are arguments: a run that has finished or is still warming
-up costs nothing, and nothing is compiled again. A tile that is not full is filled up with copies of
-its first run. Each device has its own runs and the same programs: two CPU devices keep two cores
-busy better than one with two threads, since a small matrix product does not split well.
+Learning. On a CPU device, a loop takes the runs that are to learn one by one, and makes all updates
+of a call on one before the next, so that its parameters stay in the core's cache. An accelerator
+takes them in tiles (`vmap` within a tile); one that is not full is filled up with copies of its
+first run. Which runs learn, and how many, are arguments: a run that has finished or is still
+warming up costs nothing, and nothing is compiled again. Each device has its own runs and the same
+programs: two CPU devices keep two cores busy better than one with two threads, since a small matrix
+product does not split well.
 
 Acting. One small program for all runs on one device, called once a tick by the host loop, or a part
 of a program for a whole chunk (`hitl_jax.stages` has both).
 
 Training states, what acting remembers, and hyperparameters are packed, a row of words for each run:
-each array of a call costs the host time, and each that a tile takes and gives costs a kernel.
+each array of a call costs the host time, and each that a run takes and gives costs a kernel.
 """
 
 import dataclasses
@@ -32,11 +33,8 @@ from hitl_jax.agent import Agent
 from hitl_jax.config import RunHyper, typed
 from hitl_jax.decisions import act_or_begin
 from hitl_jax.keys import make_key
-from hitl_jax.packing import pack, unpack
+from hitl_jax.packing import from_pieces, pack, piece_sizes, to_pieces, unpack
 from hitl_jax.types import Behavior, TrainState
-
-_MOST_SLICES = 8
-"""More rows than this, as an accelerator's tile has, are gathered: each slice is compiled anew."""
 
 _SOME_HYPER = typed(RunHyper())
 """Hyperparameters of the types that every run's have."""
@@ -335,41 +333,51 @@ def _learn_all(
 ) -> tuple[tuple[chex.Array, replay.Replay], Packed]:
     before, memory = learned
     memory = replay.add(memory, frames)
-    slots = jnp.concatenate([slots, jnp.zeros((tile,), slots.dtype)])
+    like = _some_train(agent)
 
-    def one(
-        hyper: chex.Array, words: chex.Array, memory: replay.Replay, column: chex.Array
-    ) -> chex.Array:
-        settings, state = unpack(_SOME_HYPER, hyper), unpack(_some_train(agent), words)
-        return pack(agents.learn(agent, settings, state, memory, column, num_updates))
+    def learn(hyper: chex.Array, state: TrainState, column: chex.Array) -> TrainState:
+        settings = unpack(_SOME_HYPER, hyper)
+        return agents.learn(agent, settings, state, memory, column, num_updates)
 
-    several = jax.vmap(one, in_axes=(0, 0, None, 0))
+    def learn_one(index: chex.Array, train: chex.Array) -> chex.Array:
+        slot = slots[index]
+        return _give(train, slot, learn(hyper[slot], _take(like, train, slot), slot))
 
     def learn_tile(index: chex.Array, train: chex.Array) -> chex.Array:
-        chosen = jax.lax.dynamic_slice_in_dim(slots, index * tile, tile)
+        chosen = jax.lax.dynamic_slice_in_dim(padded, index * tile, tile)
         filled = index * tile + jnp.arange(tile) < count
         chosen = jnp.where(filled, chosen, chosen[0])
-        after = several(_take(chosen, hyper), _take(chosen, train), memory, chosen)
-        return _give(chosen, train, after)
+        states = jax.vmap(functools.partial(unpack, like))(train[chosen])
+        after = jax.vmap(learn)(hyper[chosen], states, chosen)
+        return train.at[chosen].set(jax.vmap(pack)(after))
 
-    tiles = (count + tile - 1) // tile
-    train = jax.lax.fori_loop(0, tiles, learn_tile, before)
+    if tile == 1:  # Without an axis of runs: XLA's sums are slow beside one of length 1.
+        train = jax.lax.fori_loop(0, count, learn_one, before)
+    else:
+        padded = jnp.concatenate([slots, jnp.zeros((tile,), slots.dtype)])
+        train = jax.lax.fori_loop(0, (count + tile - 1) // tile, learn_tile, before)
     return (train, memory), _pack_behavior(agent, train)
 
 
-def _take(chosen: chex.Array, words: chex.Array) -> chex.Array:
-    """Some rows: few as slices, since on a CPU a gather of rows is many times slower."""
-    if len(chosen) > _MOST_SLICES:
-        return words[chosen]
-    return jnp.stack([words[index] for index in chosen])
+def _take(like: chex.ArrayTree, words: chex.Array, slot: chex.Array) -> chex.ArrayTree:
+    """One row of words [R, P], unpacked, each piece read by itself: all is copied once."""
+    pieces, place = [], 0
+    for size in piece_sizes(like):
+        pieces.append(jax.lax.dynamic_slice(words, (slot, place), (1, size))[0])
+        place += size
+    return from_pieces(like, pieces)
 
 
-def _give(chosen: chex.Array, words: chex.Array, rows: chex.Array) -> chex.Array:
-    """The words with some rows replaced: few as slices, in place within a loop."""
-    if len(chosen) > _MOST_SLICES:
-        return words.at[chosen].set(rows)
-    for index, row in zip(chosen, rows, strict=True):
-        words = jax.lax.dynamic_update_index_in_dim(words, row, index, 0)
+def _give(words: chex.Array, slot: chex.Array, tree: chex.ArrayTree) -> chex.Array:
+    """The words with one row replaced, in place within a loop.
+
+    XLA copies all words first unless what is written first depends on all that was read: among
+    the small leaves, the first piece, are the optimiser's counts, which the loop of updates gives.
+    """
+    place = 0
+    for piece in to_pieces(tree):
+        words = jax.lax.dynamic_update_slice(words, piece[None], (slot, place))
+        place += piece.size
     return words
 
 

@@ -12,7 +12,6 @@ from hitl_jax.envs import num_cores
 
 _ACTING = "acting"
 _LEARNER_NICE = 10
-_CPU_TILE = 3
 
 
 @functools.cache
@@ -46,13 +45,13 @@ def walker_devices(count: int) -> tuple[jax.Device, ...]:
 def default_tile(slots: int) -> int:
     """Runs learned together on one device.
 
-    On a CPU enough to share the cost of small operations, few enough to stay in cache; all that an
-    accelerator has.
+    On a CPU one, whose parameters, targets and moments, a megabyte with the default networks, fit
+    a core's own cache; all that an accelerator has.
 
     Args:
         slots: of all devices together.
     """
-    return _CPU_TILE if jax.default_backend() == "cpu" else slots // len(learning_devices())
+    return 1 if jax.default_backend() == "cpu" else slots // len(learning_devices())
 
 
 def acting_device() -> jax.Device:

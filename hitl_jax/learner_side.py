@@ -28,21 +28,18 @@ class LearnerSide:
         num_updates: updates of the task learner in a call.
     """
 
-    def __init__(self, agent: Agent, config: LoopConfig, slots: int, tile: int | None, cursor: int):
+    def __init__(self, agent: Agent, config: LoopConfig, slots: int, cursor: int):
         """Places empty seats on the devices.
 
         Args:
             agent: the team.
             config: the size of the replay and of a call.
             slots: R, a multiple of the devices' number.
-            tile: runs learned together on one device; by default `default_tile`.
             cursor: frames that each ring counts as written.
         """
         devices = learning_devices()
         self.num_updates = config.num_updates(agent.config.task_learner.policy_delay)
-        self.programs = batch.make_programs(
-            agent, self.num_updates, default_tile(slots) if tile is None else tile
-        )
+        self.programs = batch.make_programs(agent, self.num_updates, default_tile(slots))
         self._layout, self._frames = agent.layout, config.frames
         self._share = slots // len(devices)
         empty = [batch.empty_seats(agent, self._share, config.frames, each) for each in devices]

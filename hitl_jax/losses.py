@@ -137,11 +137,14 @@ def quantile_loss(
     chex.assert_rank([quantiles, target.value], [3, 2])
     count = quantiles.shape[-1]
     level = (jnp.arange(count) + 0.5) / count
-    # The axis that is summed over stands before batch and quantiles, [E, M, B, Q]: it vectorises.
-    error = target.value[:, :, None] - quantiles[:, None]
-    huber = jnp.where(jnp.abs(error) < 1.0, 0.5 * jnp.square(error), jnp.abs(error) - 0.5)
-    tilt = jnp.abs(level - (error < 0.0))
-    each = jnp.sum(tilt * huber * target.weight[:, :, None], axis=1)
+    each = jnp.zeros_like(quantiles)
+    for place in range(len(target.value)):
+        # Term by term: to sum over an axis, XLA would first write all of [E, M, B, Q].
+        error = target.value[place, :, None] - quantiles
+        # Huber's loss of e is c (e - c / 2), c being e between -1 and 1: its gradient is c.
+        clipped = jax.lax.stop_gradient(jnp.clip(error, -1.0, 1.0))
+        tilt = jnp.abs(level - (error < 0.0))
+        each += target.weight[place, :, None] * tilt * clipped * (error - 0.5 * clipped)
     loss = jnp.sum(jnp.mean(each, axis=(1, 2)))
     return loss, {"critic_loss": loss, "q": jnp.mean(quantiles)}
 

@@ -1,11 +1,14 @@
 """Flax modules: actor, stacked critics, and the boundary's pair."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import chex
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+
+from hitl_jax.products import product
 
 # Uniform in ±1/sqrt(fan_in), the initialisation with which the public records of this task were
 # made (PyTorch's default for a linear layer).
@@ -13,6 +16,17 @@ _kernel_init = nn.initializers.variance_scaling(1.0 / 3.0, "fan_in", "uniform")
 _stacked_init = nn.initializers.variance_scaling(1.0 / 3.0, "fan_in", "uniform", batch_axis=(0,))
 
 _LAYER_NORM_EPSILON = 1e-6
+
+
+def _dot_general(x: chex.Array, kernel: chex.Array, *others: Any, **named: Any) -> chex.Array:
+    """Flax's product of a dense layer; that of a minibatch is `product`."""
+    if x.ndim == 2:
+        return product(x, kernel)
+    return jax.lax.dot_general(x, kernel, *others, **named)
+
+
+def _dense(features: int) -> nn.Dense:
+    return nn.Dense(features, kernel_init=_kernel_init, dot_general=_dot_general)
 
 
 class Actor(nn.Module):
@@ -31,8 +45,8 @@ class Actor(nn.Module):
         """Maps observations [..., O] to actions [..., A]."""
         x = observation
         for size in self.hidden_sizes:
-            x = nn.relu(nn.Dense(size, kernel_init=_kernel_init)(x))
-        return jnp.tanh(nn.Dense(self.action_size, kernel_init=_kernel_init)(x))
+            x = nn.relu(_dense(size)(x))
+        return jnp.tanh(_dense(self.action_size)(x))
 
 
 class _StackedDense(nn.Module):
@@ -50,7 +64,7 @@ class _StackedDense(nn.Module):
         if x.ndim == 2:
             # Shared, XLA would make [F, B] of it and transpose in every product that follows.
             x = jnp.broadcast_to(x, (self.num_members, *x.shape))
-        return jnp.einsum("ebi,eio->ebo", x, kernel) + bias
+        return product(x, kernel) + bias
 
 
 @jax.custom_vjp

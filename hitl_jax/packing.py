@@ -1,10 +1,12 @@
 """A pytree as one array of words.
 
 Each array that a compiled program takes or gives costs the host's thread some microseconds, at
-every tick. Words are bit patterns: nothing is rounded.
+every tick. Words are bit patterns: nothing is rounded. Small leaves stand before large ones, each
+in the order of the tree, so that the words are a few pieces that can be read and written apart.
 """
 
 import math
+from collections.abc import Sequence
 
 import chex
 import jax
@@ -12,14 +14,17 @@ import jax.numpy as jnp
 
 from hitl_jax.keys import wrap_key
 
+_LARGE = 8192
+"""Words of a leaf that is a piece by itself."""
+
 
 def pack(tree: chex.ArrayTree) -> chex.Array:
-    """All leaves one after the other, uint32 [P].
+    """All leaves, uint32 [P].
 
     Args:
         tree: leaves of 32 bits an element, bool, or typed keys of `keys.make_key`.
     """
-    return jnp.concatenate([_to_words(leaf).ravel() for leaf in jax.tree.leaves(tree)])
+    return jnp.concatenate(to_pieces(tree))
 
 
 def unpack(like: chex.ArrayTree, words: chex.Array) -> chex.ArrayTree:
@@ -32,14 +37,46 @@ def unpack(like: chex.ArrayTree, words: chex.Array) -> chex.ArrayTree:
     Raises:
         AssertionError: if there are more or fewer words than the tree has.
     """
-    shapes = [jax.eval_shape(_to_words, leaf).shape for leaf in jax.tree.leaves(like)]
-    chex.assert_shape(words, (sum(map(math.prod, shapes)),))
-    leaves, place = [], 0
-    for leaf, shape in zip(jax.tree.leaves(like), shapes, strict=True):
-        size = math.prod(shape)
-        leaves.append(_from_words(leaf, words[place : place + size].reshape(shape)))
+    return from_pieces(like, _split(words, piece_sizes(like)))
+
+
+def to_pieces(tree: chex.ArrayTree) -> list[chex.Array]:
+    """What `pack` joins, uint32 [..] each: all small leaves together, then each large one."""
+    words = [_to_words(leaf).ravel() for leaf in jax.tree.leaves(tree)]
+    small = [leaf for leaf in words if leaf.size < _LARGE]
+    large = [leaf for leaf in words if leaf.size >= _LARGE]
+    return [jnp.concatenate(small), *large] if small else large
+
+
+def piece_sizes(like: chex.ArrayTree) -> list[int]:
+    """How many words each of the pieces of such a tree has."""
+    return [piece.size for piece in jax.eval_shape(to_pieces, like)]
+
+
+def from_pieces(like: chex.ArrayTree, pieces: Sequence[chex.Array]) -> chex.ArrayTree:
+    """The tree of which `to_pieces` made the pieces; see `unpack`."""
+    leaves, structure = jax.tree.flatten(like)
+    shapes = [jax.eval_shape(_to_words, leaf).shape for leaf in leaves]
+    sizes = [math.prod(shape) for shape in shapes]
+    small = [size for size in sizes if size < _LARGE]
+    few = iter(_split(pieces[0], small) if small else ())
+    large = iter(pieces[1:] if small else pieces)
+    return jax.tree.unflatten(
+        structure,
+        [
+            _from_words(leaf, next(few if size < _LARGE else large).reshape(shape))
+            for leaf, shape, size in zip(leaves, shapes, sizes, strict=True)
+        ],
+    )
+
+
+def _split(words: chex.Array, sizes: Sequence[int]) -> list[chex.Array]:
+    chex.assert_shape(words, (sum(sizes),))
+    parts, place = [], 0
+    for size in sizes:
+        parts.append(words[place : place + size])
         place += size
-    return jax.tree.unflatten(jax.tree.structure(like), leaves)
+    return parts
 
 
 def _to_words(leaf: chex.Array) -> chex.Array:

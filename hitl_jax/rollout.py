@@ -59,7 +59,6 @@ class Rollout:
         specs: Sequence[RunSpec],
         pool: WalkerPool,
         config: LoopConfig,
-        tile: int | None = None,
         saved: dict[RunKey, SavedRun] | None = None,
     ):
         """Places everything on the devices.
@@ -69,7 +68,6 @@ class Rollout:
             specs: the runs; more than `pool.num_walkers` wait for a slot.
             pool: one walker a slot; the number of slots must be a multiple of the devices'.
             config: how much to play and learn.
-            tile: runs learned together on one device; by default `default_tile`.
             saved: runs to go on with, each taken out when it has a slot, since its replay is large;
                 None says that none will be saved either.
 
@@ -84,7 +82,7 @@ class Rollout:
         _check(agent, pool, config)
         self._saved = {} if saved is None else saved
         longest = max((len(run.frames) for run in self._saved.values()), default=0)
-        self._learner = LearnerSide(agent, config, slots, tile, longest)
+        self._learner = LearnerSide(agent, config, slots, longest)
         self._stage = make_stage(agent, pool, self._learner.programs)
         self._acting_shape = self._stage.words().shape[1:]
 

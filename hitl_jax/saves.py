@@ -26,7 +26,7 @@ from hitl_jax.run_key import RunKey
 from hitl_jax.saved import SavedRun
 from hitl_jax.tables import EPISODE_COLUMNS, table_from_csv, table_to_csv, to_columns, to_table
 
-FORMAT = 3
+FORMAT = 4
 
 _DIGEST_SIZE = 16  # bytes
 _ARRAYS = tuple(name for name in SavedRun._fields if name not in ("facts", "frames"))

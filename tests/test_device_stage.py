@@ -31,7 +31,7 @@ def _play(specs, slots, saved=None, chunks=None, broken_from=device_toy.NEVER):
     """Finished runs by name, and the rollout; after so many chunks at most."""
     with device_toy.toys(broken_from):
         pool = jax_pool.JaxPool(slots, 2)
-        playing = Rollout(make_agent(_CONFIG), specs, pool, _LOOP, tile=2, saved=saved)
+        playing = Rollout(make_agent(_CONFIG), specs, pool, _LOOP, saved=saved)
         finished = {}
         for number, done in enumerate(playing, start=1):
             finished |= {run.run.spec.key: run for run in done}

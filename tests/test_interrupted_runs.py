@@ -32,7 +32,7 @@ _SPECS = [
 
 
 def _rollout(specs, slots, saved):
-    return Rollout(make_agent(_CONFIG), specs, ToyPool(slots), _LOOP, tile=2, saved=saved)
+    return Rollout(make_agent(_CONFIG), specs, ToyPool(slots), _LOOP, saved=saved)
 
 
 def _finish(rollout):
@@ -108,7 +108,7 @@ def test_an_intervention_before_the_save_is_paid_for_after_it():
     frames = np.zeros((0, layout.width), np.float32)
     saved, episodes, paid_late = {}, [], 0
     while len(episodes) < 6:
-        rollout = Rollout(make_agent(config), [spec], ToyPool(2), _LOOP, tile=2, saved=saved)
+        rollout = Rollout(make_agent(config), [spec], ToyPool(2), _LOOP, saved=saved)
         next(iter(rollout))
         [run] = rollout.save()
         frames, episodes = np.concatenate([frames, run.frames]), run.facts["episodes"]

@@ -8,7 +8,7 @@ from hitl_jax.acting import init_acting
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, RunHyper, typed
 from hitl_jax.keys import make_key
-from hitl_jax.packing import pack, unpack
+from hitl_jax.packing import from_pieces, pack, piece_sizes, to_pieces, unpack
 
 
 def _bits(tree):
@@ -29,14 +29,27 @@ def test_every_bit_comes_back():
         "flags": jnp.array([True, False]),
         "none": jnp.zeros((0, 3)),
         "key": make_key(7),
+        "large": jnp.arange(10_000.0).reshape(100, 100),
         "keys": jax.random.split(make_key(8), 3),
     }
     words = jax.jit(pack)(tree)
-    assert (words.dtype, words.shape) == (jnp.uint32, (4 + 1 + 1 + 2 + 2 + 6,))
+    assert (words.dtype, words.shape) == (jnp.uint32, (4 + 1 + 1 + 2 + 2 + 6 + 10_000,))
     back = jax.jit(unpack)(tree, words)
     assert jax.tree.structure(back) == jax.tree.structure(tree)
     assert _bits(jax.tree.leaves(back)) == _bits(jax.tree.leaves(tree))
     assert jax.random.uniform(back["key"]) == jax.random.uniform(make_key(7))
+
+
+@pytest.mark.parametrize("small", [{}, {"bias": jnp.ones(3), "key": make_key(1)}])
+@pytest.mark.parametrize("large", [{}, {"a": jnp.ones((128, 128)), "z": jnp.zeros(9000)}])
+def test_pieces_are_what_is_packed(small, large):
+    tree = {**small, "middle": jnp.int32(7), **large}
+    pieces = to_pieces(tree)
+    assert [piece.size for piece in pieces] == piece_sizes(tree)
+    assert len(pieces) == 1 + len(large)
+    np.testing.assert_array_equal(jnp.concatenate(pieces), pack(tree))
+    back = from_pieces(tree, pieces)
+    assert _bits(jax.tree.leaves(back)) == _bits(jax.tree.leaves(tree))
 
 
 @pytest.mark.parametrize("change", [-1, 1])

@@ -29,7 +29,7 @@ def _spec(method, seed, **changes):
 
 def _play(specs, slots, config=_CONFIG, loop=_LOOP):
     """Finished runs by (method, seed)."""
-    rollout = Rollout(make_agent(config), specs, ToyPool(slots), loop, tile=2)
+    rollout = Rollout(make_agent(config), specs, ToyPool(slots), loop)
     finished = [run for done in rollout for run in done]
     assert len(finished) == len(specs)
     return {(done.run.spec.method, done.run.spec.seed): done for done in finished}
@@ -70,7 +70,7 @@ def test_a_snapshot_is_what_a_shorter_run_ends_with(together):
     kept = together[Method.HITL_AC, 1].run.snapshots
     assert [snapshot.episode for snapshot in kept] == [3, 7]
     short = [dataclasses.replace(_spec(Method.HITL_AC, 1), episodes=n) for n in (3, 7)]
-    rollout = Rollout(make_agent(_CONFIG), short, ToyPool(2), _LOOP, tile=2)
+    rollout = Rollout(make_agent(_CONFIG), short, ToyPool(2), _LOOP)
     ended = [run for done in rollout for run in done]
     for snapshot, run in zip(kept, ended, strict=True):
         jax.tree.map(np.testing.assert_array_equal, snapshot.behavior, behavior(run.train))
@@ -99,7 +99,7 @@ def test_nothing_is_compiled_again():
     jax.monitoring.register_event_duration_secs_listener(listen)
     specs = [_spec(method, seed) for seed in range(3) for method in Method]
     slots, num_devices = 4, len(learning_devices())
-    rollout = Rollout(make_agent(_CONFIG), specs, ToyPool(slots), _LOOP, tile=2)
+    rollout = Rollout(make_agent(_CONFIG), specs, ToyPool(slots), _LOOP)
     counts, finished, devices = [], 0, set()
     known = None
     for done in rollout:
@@ -124,7 +124,7 @@ def test_memory_is_flat():
         for seed in range(2)
         for method in Method
     ]
-    rollout = iter(Rollout(make_agent(_CONFIG), specs, ToyPool(6), _LOOP, tile=2))
+    rollout = iter(Rollout(make_agent(_CONFIG), specs, ToyPool(6), _LOOP))
     sizes = []
     for chunks in (50, 200, 200):
         for _ in range(chunks):
@@ -140,7 +140,7 @@ def test_memory_is_flat():
 def test_a_finished_run_takes_no_more_steps():
     pool = ToyPool(2)
     specs = [_spec(Method.SRL, 0), _spec(Method.HITL_AC, 0)]
-    rollout = Rollout(make_agent(_CONFIG), specs, pool, _LOOP, tile=2)
+    rollout = Rollout(make_agent(_CONFIG), specs, pool, _LOOP)
     finished = [run for done in rollout for run in done]
     assert pool.steps == sum(done.run.env_steps for done in finished)
 
@@ -204,7 +204,7 @@ class BrokenPool(ToyPool):
 
 def _play_with_one_lost(specs, pool, together):
     """The run that diverged, when the others are as they are without it."""
-    rollout = Rollout(make_agent(_CONFIG), specs, pool, _LOOP, tile=2)
+    rollout = Rollout(make_agent(_CONFIG), specs, pool, _LOOP)
     finished = {(run.run.spec.method, run.run.spec.seed): run for done in rollout for run in done}
     [lost] = [run for run in finished.values() if run.run.diverged]
     assert len(finished) == len(together)

@@ -32,6 +32,8 @@ RUNS = 30
 TOGETHER = 16
 """Updates in one compiled call, ours and SBX's."""
 
+TURNS = 3
+
 START_SECONDS = 300.0
 VECTOR_WALKERS = 16
 """Walkers of AsyncVectorEnv: it starts a process for each."""
@@ -64,8 +66,7 @@ def measure_peers(seconds: float) -> list[Row]:
             ],
             reference,
             5 * seconds,
-            turns=1,
-            bar=bar,
+            bar,
         )
     rows += _rows(
         [
@@ -76,34 +77,41 @@ def measure_peers(seconds: float) -> list[Row]:
         ],
         f"EnvPool, {cores} threads",
         seconds,
-        turns=3,
         bar=0.8,
     )
     return rows
 
 
-def _rows(ways: list[_Way], reference: str, seconds: float, turns: int, bar: float) -> list[Row]:
-    """Measures `ways` in turns, medians; ours as multiples of `reference` and of the best other."""
+def _rows(ways: list[_Way], reference: str, seconds: float, bar: float) -> list[Row]:
+    """Measures `ways` in turns, medians; ours as multiples of `reference` and of the best other.
+
+    A multiple is the median of those of the turns: a machine's speed changes from turn to turn.
+    """
     rates: dict[str, list[float]] = {name: [] for name, *_ in ways}
     rows: dict[str, Row] = {name: {"peer": name} for name, *_ in ways}
-    for _ in range(turns):
+    for _ in range(TURNS):
         for name, package, measure in ways:
             try:
                 rows[name]["version"] = importlib.metadata.version(package)
                 rates[name].append(measure(seconds))
             except ImportError as error:
                 rows[name]["peer"] = f'{name}: missing ({error}); pip install -e ".[bench]"'
-    medians = {name: statistics.median(rate) for name, rate in rates.items() if rate}
-    others = [medians[name] for name, package, _ in ways if package != "hitl_jax" and rates[name]]
+    others = [rates[name] for name, package, _ in ways if package != "hitl_jax" and rates[name]]
+    best = [max(turn) for turn in zip(*others, strict=True)]
     for name, package, _ in ways:
-        if name in medians:
-            rows[name]["steps/s"] = round(medians[name])
+        if rates[name]:
+            rows[name]["steps/s"] = round(statistics.median(rates[name]))
             if package == "hitl_jax" and others:
-                if reference in medians:
-                    rows[name]["ratio"] = round(medians[name] / medians[reference], 2)
-                rows[name]["to the best"] = round(medians[name] / max(others), 2)
+                if rates[reference]:
+                    rows[name]["ratio"] = _multiple(rates[name], rates[reference])
+                rows[name]["to the best"] = _multiple(rates[name], best)
     rows[ways[-1][0]]["bar"] = bar
     return list(rows.values())
+
+
+def _multiple(ours: list[float], others: list[float]) -> float:
+    each = [one / other for one, other in zip(ours, others, strict=True)]
+    return round(statistics.median(each), 2)
 
 
 def _sbx(

@@ -1,26 +1,17 @@
-"""A border that fusion on a CPU does not cross."""
+"""Values that are computed once, where several others are computed from them."""
 
 from typing import TypeVar
 
-import jax
-from jax.experimental.xla_metadata import set_xla_metadata
-
+from hitl_jax.border import border
 from hitl_jax.walker.kernel import on_gpu
 
 Tree = TypeVar("Tree")
 
 
-@jax.jit
-def _same(values: Tree) -> Tree:
-    return values
-
-
 def once(values: Tree) -> Tree:
-    """Has values computed once, and kept, where several others are computed from them.
+    """Keeps values on a CPU, where the long chains of a solver would grow by powers.
 
-    XLA's fusion for CPUs computes a value again inside each kernel that uses it, and so on
-    backwards: the long chains of a solver grow by powers. `optimization_barrier` does not help: it
-    is gone before fusion. A call that may not be inlined stays. For a GPU nothing is done.
+    For a GPU nothing is done.
 
     Args:
         values: arrays.
@@ -28,7 +19,4 @@ def once(values: Tree) -> Tree:
     Returns:
         The same.
     """
-    if on_gpu():
-        return values
-    with set_xla_metadata(inlineable="false"):
-        return _same(values)
+    return values if on_gpu() else border(values)
