@@ -19,9 +19,11 @@ _LONG = 128
 nothing at 64 rows."""
 
 _FEW = 4
+"""Columns, and `_SMALL` rows, from which on a form of our own is taken: of smaller products XLA
+makes loops, and aborts where their layout is another than usual."""
+
 _SMALL = 32
-"""XLA makes loops of its own of small products, with fewer columns or rows than this, and aborts
-where their layout is another than usual."""
+"""Rows and inputs; see `_FEW`."""
 
 
 @jax.custom_vjp

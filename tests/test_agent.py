@@ -102,6 +102,38 @@ def test_bootstraps_through_time_limits_and_not_through_ends(
     np.testing.assert_allclose(first, np.full_like(first, 1 + last / 2), atol=0.08)
 
 
+@pytest.mark.parametrize("learner", ["ddpg", "td3", "td3-tqc"])
+def test_learn_is_one_update_after_another(learner):
+    """With the same draws and noise: targets of several updates at once change nothing."""
+    agent, hyper = _probe_agent(learner), hyper_for(Method.SRL, Hyper(target_step_size=0.5))
+    frames = np.zeros((1, 256, agent.layout.width), np.float32)
+    frames[:, :, : agent.layout.terminated] = np.random.default_rng(0).normal(size=(1, 256, 3))
+    memory = replay.add(replay.init(256, 1, agent.layout), frames)
+    before = agents.init(agent, jax.random.key(0))
+    config, updates = agent.config, 4
+    learned = jax.jit(agents.learn, static_argnums=(0, 5))(
+        agent, hyper, before, memory, jnp.int32(0), updates
+    )
+    _, sample_key, noise_key, _ = jax.random.split(before.key, 4)
+    size, column = config.batch_size, jnp.int32(0)
+    draw = replay.draw(
+        memory, agent.layout, column, sample_key, updates * size, 1, jnp.float32(hyper.gamma)
+    )
+    batch = replay.read(memory, agent.layout, column, draw)
+    noise = jax.random.normal(noise_key, (updates * size, config.action_size))
+    state, delay = before, config.task_learner.policy_delay
+    for index in range(updates):
+        part = slice(index * size, (index + 1) * size)
+        one = jax.tree.map(lambda leaf, part=part: leaf[part], batch)
+        last = index % delay == delay - 1
+        state, _ = agents.update(agent, hyper, state, one, noise[part], last)
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5),
+        learned.learner,
+        state.learner,
+    )
+
+
 def _act_many(agent, hyper, observations, key=None):
     """Decisions along a sequence of observations [T, O]."""
     state = acting.init_acting(agent, hyper, jax.random.key(0) if key is None else key)
