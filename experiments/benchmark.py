@@ -38,7 +38,6 @@ class BenchmarkOptions:
             extra `bench`).
         json: a file for the same numbers.
         plot: a .png or .svg file for a picture of the part scaling.
-        tile: runs vmapped together on one device, in the part learner; by default as in the sweep.
         seconds: time for one measurement [s].
     """
 
@@ -47,7 +46,6 @@ class BenchmarkOptions:
     )
     json: str | None = None
     plot: str | None = None
-    tile: int | None = None
     seconds: float = 2.0
 
 
@@ -56,8 +54,6 @@ def main(options: BenchmarkOptions) -> int:
     parts = [part for given in options.only for part in given.split(",")]
     if not parts or not PARTS.keys() >= set(parts):
         raise BadInput(f"--only {' '.join(options.only)}: must be some of {', '.join(PARTS)}")
-    if options.tile is not None and options.tile < 1:
-        raise BadInput(f"--tile {options.tile}: must be at least 1")
     if not options.seconds > 0:
         raise BadInput(f"--seconds {options.seconds}: must be above 0")
     for name, file in (("json", options.json), ("plot", options.plot)):
@@ -83,7 +79,7 @@ def main(options: BenchmarkOptions) -> int:
 
 
 PARTS: dict[str, Callable[[BenchmarkOptions], list[Row]]] = {
-    "learner": lambda options: measure_learner(options.seconds, options.tile),
+    "learner": lambda options: measure_learner(options.seconds),
     "pool": lambda options: measure_pool(options.seconds),
     "loop": lambda options: measure_loop(options.seconds),
     "scaling": lambda options: measure_scaling(options.seconds),

@@ -306,15 +306,15 @@ def learn(
     def several(
         state: TrainState, given: tuple[replay.Draw, chex.Array]
     ) -> tuple[TrainState, None]:
-        draw, noise = given
+        draw, smoothing = given
         batch = replay.read(memory, agent.layout, column, draw)
-        # Target networks change with the actor alone: all its critics' updates have their targets.
-        target = _target(agent, hyper, state.learner, batch, noise.reshape(rows, -1))
+        # Target networks move only when the actor does: the updates until then share their targets.
+        targets = _target(agent, hyper, state.learner, batch, smoothing.reshape(rows, -1))
         for index in range(delay):
             part = slice(index * config.batch_size, (index + 1) * config.batch_size)
             one = jax.tree.map(lambda leaf, part=part: leaf[part], batch)
-            wanted = jax.tree.map(lambda leaf, part=part: leaf[..., part], target)
-            state, _metrics = _improve(agent, hyper, state, one, wanted, index == delay - 1)
+            target = jax.tree.map(lambda leaf, part=part: leaf[..., part], targets)
+            state, _metrics = _improve(agent, hyper, state, one, target, index == delay - 1)
         return state, None
 
     state, _ = jax.lax.scan(several, dataclasses.replace(state, key=key), (drawn, noise))

@@ -1,12 +1,12 @@
 """The one place where runs are vmapped: R runs that share nothing but the ring's cursor.
 
 Learning. On a CPU device, a loop takes the runs that are to learn one by one, and makes all updates
-of a call on one before the next, so that its parameters stay in the core's cache. An accelerator
-takes them in tiles (`vmap` within a tile); one that is not full is filled up with copies of its
-first run. Which runs learn, and how many, are arguments: a run that has finished or is still
-warming up costs nothing, and nothing is compiled again. Each device has its own runs and the same
-programs: two CPU devices keep two cores busy better than one with two threads, since a small matrix
-product does not split well.
+of a call on one before the next (`devices.default_tile` says why). An accelerator takes them in
+tiles (`vmap` within a tile); one that is not full is filled up with copies of its first run. Which
+runs learn, and how many, are arguments: a run that has finished or is still warming up costs
+nothing, and nothing is compiled again. Each device has its own runs and the same programs: two CPU
+devices keep two cores busy better than one with two threads, since a small matrix product does not
+split well.
 
 Acting. One small program for all runs on one device, called once a tick by the host loop, or a part
 of a program for a whole chunk (`hitl_jax.stages` has both).
@@ -185,7 +185,7 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
     Args:
         agent: the team; its parts must be hashable, as functions are.
         num_updates: updates of the task learner in one call of `learn`.
-        tile: runs that are vmapped together; fewer keep the cache, more feed a GPU.
+        tile: runs that are vmapped together, see `devices.default_tile`; 1 takes them one by one.
     """
 
     def begin(key: chex.PRNGKey) -> tuple[chex.Array, chex.Array]:
@@ -325,23 +325,26 @@ def _learn_all(
     agent: Agent,
     num_updates: int,
     tile: int,
-    learned: tuple[chex.Array, replay.Replay],
+    before: tuple[chex.Array, replay.Replay],
     hyper: chex.Array,
     frames: chex.Array,
     slots: chex.Array,
     count: chex.Array,
 ) -> tuple[tuple[chex.Array, replay.Replay], Packed]:
-    before, memory = learned
+    """`Programs.learn` of training states [R, P] and the replay, hyperparameters [R, H] apart."""
+    train, memory = before
     memory = replay.add(memory, frames)
     like = _some_train(agent)
 
-    def learn(hyper: chex.Array, state: TrainState, column: chex.Array) -> TrainState:
-        settings = unpack(_SOME_HYPER, hyper)
+    def learn(words: chex.Array, state: TrainState, column: chex.Array) -> TrainState:
+        settings = unpack(_SOME_HYPER, words)
         return agents.learn(agent, settings, state, memory, column, num_updates)
 
     def learn_one(index: chex.Array, train: chex.Array) -> chex.Array:
         slot = slots[index]
         return _give(train, slot, learn(hyper[slot], _take(like, train, slot), slot))
+
+    padded = jnp.concatenate([slots, jnp.zeros((tile,), slots.dtype)])
 
     def learn_tile(index: chex.Array, train: chex.Array) -> chex.Array:
         chosen = jax.lax.dynamic_slice_in_dim(padded, index * tile, tile)
@@ -352,10 +355,9 @@ def _learn_all(
         return train.at[chosen].set(jax.vmap(pack)(after))
 
     if tile == 1:  # Without an axis of runs: XLA's sums are slow beside one of length 1.
-        train = jax.lax.fori_loop(0, count, learn_one, before)
+        train = jax.lax.fori_loop(0, count, learn_one, train)
     else:
-        padded = jnp.concatenate([slots, jnp.zeros((tile,), slots.dtype)])
-        train = jax.lax.fori_loop(0, (count + tile - 1) // tile, learn_tile, before)
+        train = jax.lax.fori_loop(0, (count + tile - 1) // tile, learn_tile, train)
     return (train, memory), _pack_behavior(agent, train)
 
 

@@ -30,6 +30,7 @@ _STYLE: Any = {
     "legend.fontsize": 8.0,
     "legend.title_fontsize": 8.0,
     "legend.frameon": False,
+    "legend.handlelength": 3.5,  # room for a dash on either side of a marker
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,

@@ -103,7 +103,7 @@ def target_quantiles(
         num_dropped: static, of all critics together; the paper counts those of one critic.
 
     Returns:
-        The targets and their weights.
+        The targets and their weights, [M, B] with M = E · Q.
     """
     chex.assert_rank([reward, discount, next_quantiles], [1, 1, 3])
     chex.assert_equal_shape([reward, discount, next_quantiles[0, :, 0]])
@@ -128,7 +128,7 @@ def quantile_loss(
         critic: parameters of the stacked critics.
         apply: maps (parameters, [B, O], [B, A]) to quantiles [E, B, Q].
         transition: minibatch, leading axis B.
-        target: y.
+        target: y, as `Atoms` of [M, B].
 
     Returns:
         The loss [] and metrics `q` (mean value) and `critic_loss`.
@@ -141,7 +141,8 @@ def quantile_loss(
     for place in range(len(target.value)):
         # Term by term: to sum over an axis, XLA would first write all of [E, M, B, Q].
         error = target.value[place, :, None] - quantiles
-        # Huber's loss of e is c (e - c / 2), c being e between -1 and 1: its gradient is c.
+        # Huber's loss of e is c (e - c / 2), c being e clipped to [-1, 1]. Its gradient is c with
+        # or without a gradient through c; without, XLA computes less.
         clipped = jax.lax.stop_gradient(jnp.clip(error, -1.0, 1.0))
         tilt = jnp.abs(level - (error < 0.0))
         each += target.weight[place, :, None] * tilt * clipped * (error - 0.5 * clipped)

@@ -19,13 +19,14 @@ _LAYER_NORM_EPSILON = 1e-6
 
 
 def _dot_general(x: chex.Array, kernel: chex.Array, *others: Any, **named: Any) -> chex.Array:
-    """Flax's product of a dense layer; that of a minibatch is `product`."""
+    """What a dense layer multiplies with: `product` a minibatch [B, I], Flax's all else."""
     if x.ndim == 2:
         return product(x, kernel)
     return jax.lax.dot_general(x, kernel, *others, **named)
 
 
 def _dense(features: int) -> nn.Dense:
+    """A layer of the actor; the boundary's networks are too small for `product` to matter."""
     return nn.Dense(features, kernel_init=_kernel_init, dot_general=_dot_general)
 
 

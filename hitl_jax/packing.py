@@ -15,7 +15,9 @@ import jax.numpy as jnp
 from hitl_jax.keys import wrap_key
 
 _LARGE = 8192
-"""Words of a leaf that is a piece by itself."""
+"""Words from which on a leaf is a piece by itself: 32 kB, beside which reading it is not noticed.
+
+The order of the words, and so what a save means, depends on it: `saves.FORMAT` goes with it."""
 
 
 def pack(tree: chex.ArrayTree) -> chex.Array:
@@ -54,7 +56,12 @@ def piece_sizes(like: chex.ArrayTree) -> list[int]:
 
 
 def from_pieces(like: chex.ArrayTree, pieces: Sequence[chex.Array]) -> chex.ArrayTree:
-    """The tree of which `to_pieces` made the pieces; see `unpack`."""
+    """The tree of which `to_pieces` made the pieces; see `unpack`.
+
+    Raises:
+        AssertionError: if the pieces are not such a tree's.
+    """
+    chex.assert_equal([piece.size for piece in pieces], piece_sizes(like))
     leaves, structure = jax.tree.flatten(like)
     shapes = [jax.eval_shape(_to_words, leaf).shape for leaf in leaves]
     sizes = [math.prod(shape) for shape in shapes]

@@ -1,8 +1,8 @@
 """The product of a dense layer, with its gradient in the forms for which XLA has fast CPU kernels.
 
 Of the three products of a layer only the gradient of its kernel, xᵀ g, sums over an axis that is
-not the last of its left operand. XLA's CPU kernels for that are slower, and several times slower
-where g is narrow.
+not the last of its left operand. XLA has such a product done by a slower kernel, and where g is
+narrow by a loop that is several times slower.
 """
 
 import chex
@@ -12,18 +12,17 @@ import jax.numpy as jnp
 from hitl_jax.border import border
 
 _NARROW = 32
-"""Fewer columns than this are better the rows of the result."""
+"""With fewer outputs than this gᵀ x, transposed, is faster; with more, xᵀ g with x transposed
+before."""
 
-_LONG = 128
-"""From so many rows on, a transposed copy costs less than it saves: 8 % at 128 and 256 columns,
-nothing at 64 rows."""
+_MANY_ROWS = 128
+"""From so many on, transposing x costs less than it saves: 8 % at 128 and 256 outputs, nothing at
+64 rows."""
 
-_FEW = 4
-"""Columns, and `_SMALL` rows, from which on a form of our own is taken: of smaller products XLA
-makes loops, and aborts where their layout is another than usual."""
-
-_SMALL = 32
-"""Rows and inputs; see `_FEW`."""
+_LEAST = 32
+_LEAST_OUTPUTS = 4
+"""Rows and inputs, and outputs, from which on a product is one to XLA and not a loop. With such a
+loop JAX 0.10.2 was seen to abort where a stack of results is transposed."""
 
 
 @jax.custom_vjp
@@ -37,6 +36,7 @@ def product(x: chex.Array, kernel: chex.Array) -> chex.Array:
     Returns:
         Outputs, [..., B, O].
     """
+    chex.assert_equal_shape_prefix([x, kernel], x.ndim - 2)
     return jnp.einsum("...bi,...io->...bo", x, kernel)
 
 
@@ -58,18 +58,22 @@ product.defvjp(_forward, _backward)
 
 
 def _of_kernel(x: chex.Array, gradient: chex.Array) -> chex.Array:
-    """The gradient of the kernel, [..., I, O]."""
+    """The gradient of the kernel, xᵀ g, [..., I, O]."""
     return jnp.einsum("...bi,...bo->...io", x, gradient)
 
 
 def _of_kernel_on_cpu(x: chex.Array, gradient: chex.Array) -> chex.Array:
+    """The same in the form that is fastest for its shape.
+
+    The barriers are for XLA's simplifier, which would make xᵀ g of either form again; the border is
+    for its fusion, which would compute x, a layer's nonlinearity, once more in the transposed copy.
+    """
     rows, inputs = x.shape[-2:]
     outputs = gradient.shape[-1]
-    # Without barriers XLA would make of either form the product that it stands for.
-    if min(rows, inputs) >= _SMALL and _FEW <= outputs < _NARROW:
-        turned = jnp.einsum("...bo,...bi->...oi", gradient, x)
-        return jnp.swapaxes(jax.lax.optimization_barrier(turned), -1, -2)
-    if rows >= _LONG and min(inputs, outputs) >= _SMALL:
-        turned = jax.lax.optimization_barrier(jnp.swapaxes(border(x), -1, -2))
-        return jnp.einsum("...ib,...bo->...io", turned, gradient)
+    if min(rows, inputs) >= _LEAST and _LEAST_OUTPUTS <= outputs < _NARROW:
+        transposed = jnp.einsum("...bo,...bi->...oi", gradient, x)
+        return jnp.swapaxes(jax.lax.optimization_barrier(transposed), -1, -2)
+    if rows >= _MANY_ROWS and min(inputs, outputs) >= _LEAST:
+        transposed = jax.lax.optimization_barrier(jnp.swapaxes(border(x), -1, -2))
+        return jnp.einsum("...ib,...bo->...io", transposed, gradient)
     return _of_kernel(x, gradient)

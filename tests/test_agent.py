@@ -105,19 +105,20 @@ def test_bootstraps_through_time_limits_and_not_through_ends(
 @pytest.mark.parametrize("learner", ["ddpg", "td3", "td3-tqc"])
 def test_learn_is_one_update_after_another(learner):
     """With the same draws and noise: targets of several updates at once change nothing."""
-    agent, hyper = _probe_agent(learner), hyper_for(Method.SRL, Hyper(target_step_size=0.5))
-    frames = np.zeros((1, 256, agent.layout.width), np.float32)
-    frames[:, :, : agent.layout.terminated] = np.random.default_rng(0).normal(size=(1, 256, 3))
-    memory = replay.add(replay.init(256, 1, agent.layout), frames)
-    before = agents.init(agent, jax.random.key(0))
-    config, updates = agent.config, 4
-    learned = jax.jit(agents.learn, static_argnums=(0, 5))(
-        agent, hyper, before, memory, jnp.int32(0), updates
+    config = AgentConfig(
+        learner=learner, hidden_sizes=(32, 32), batch_size=64, observation_size=3, action_size=2
     )
-    _, sample_key, noise_key, _ = jax.random.split(before.key, 4)
-    size, column = config.batch_size, jnp.int32(0)
+    agent, hyper = agents.make_agent(config), hyper_for(Method.SRL, Hyper(target_step_size=0.5))
+    frames = np.zeros((1, 256, agent.layout.width), np.float32)
+    before_flags = frames[:, :, : agent.layout.terminated]
+    before_flags[:] = np.random.default_rng(0).normal(size=before_flags.shape)
+    memory = replay.add(replay.init(256, 1, agent.layout), frames)
+    before, updates, column = agents.init(agent, jax.random.key(0)), 4, jnp.int32(0)
+    learned = _learn(agent, hyper, before, memory, column, updates)
+    key, sample_key, noise_key, boundary_key = jax.random.split(before.key, 4)
+    size, gamma = config.batch_size, jnp.float32(hyper.gamma)
     draw = replay.draw(
-        memory, agent.layout, column, sample_key, updates * size, 1, jnp.float32(hyper.gamma)
+        memory, agent.layout, column, sample_key, updates * size, config.n_step, gamma
     )
     batch = replay.read(memory, agent.layout, column, draw)
     noise = jax.random.normal(noise_key, (updates * size, config.action_size))
@@ -127,11 +128,14 @@ def test_learn_is_one_update_after_another(learner):
         one = jax.tree.map(lambda leaf, part=part: leaf[part], batch)
         last = index % delay == delay - 1
         state, _ = agents.update(agent, hyper, state, one, noise[part], last)
-    jax.tree.map(
-        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5),
-        learned.learner,
-        state.learner,
+    pool = replay.sample_boundary(
+        memory, agent.layout, column, boundary_key, config.boundary_batch_size, gamma
     )
+    state, _ = agents.update_boundary(agent, hyper, state, pool)
+    chex.assert_trees_all_close(
+        (learned.learner, learned.boundary), (state.learner, state.boundary), rtol=1e-3, atol=1e-5
+    )
+    chex.assert_trees_all_equal(*(jax.random.key_data(each) for each in (learned.key, key)))
 
 
 def _act_many(agent, hyper, observations, key=None):

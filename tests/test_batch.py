@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hitl_jax import agent as agents
-from hitl_jax import batch, replay
+from hitl_jax import batch, packing, replay
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.devices import cpu_device
 from hitl_jax.keys import make_key
@@ -56,6 +56,11 @@ def _empty(num_runs, device=0):
     return batch.empty_seats(_AGENT, num_runs, 64, cpu_device(f"learner {device}"))
 
 
+def _forget_programs():
+    batch.make_programs.cache_clear()
+    jax.clear_caches()
+
+
 def _same(one, other):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=2e-4, atol=1e-6), one, other)
 
@@ -85,6 +90,16 @@ def test_a_run_in_the_batch_equals_the_run_alone(plainly, tile):
         _same(learner, plainly[run])
 
 
+def test_a_run_of_several_pieces_equals_the_run_alone(plainly, monkeypatch):
+    """As networks of the default width have them, whose large leaves are read and written apart."""
+    _forget_programs()
+    monkeypatch.setattr(packing, "_LARGE", 64)
+    assert len(packing.piece_sizes(batch._some_train(_AGENT))) > 10
+    for run, learner in _learn(list(range(3)), 1).items():
+        _same(learner, plainly[run])
+    _forget_programs()
+
+
 @pytest.mark.parametrize("tile", [1, 3])
 def test_neighbours_do_not_change_a_bit(tile):
     """Of two slots or more: see `num_slots`."""
@@ -109,15 +124,16 @@ def test_a_run_that_is_not_listed_does_not_change(plainly):
         _same(learned[run], jax.device_get((fresh.learner, fresh.boundary)))
 
 
-def test_the_ring_is_updated_in_place():
+@pytest.mark.parametrize("tile", [1, 2])
+def test_seats_are_updated_in_place(tile):
     seats = _empty(6)
-    programs = batch.make_programs(_AGENT, _UPDATES, 2)
+    programs = batch.make_programs(_AGENT, _UPDATES, tile)
     frames = _frames(range(6))
     pointers = []
     for _ in range(2):
-        seats, _ = programs.learn(seats, frames, np.zeros(6, np.int32), np.int32(0))
-        memory = seats.memory
-        pointers.append([ring.unsafe_buffer_pointer() for ring in (memory.seen, memory.outcome)])
+        seats, _ = programs.learn(seats, frames, np.arange(6, dtype=np.int32), np.int32(6))
+        arrays = seats.train, seats.memory.seen, seats.memory.outcome
+        pointers.append([array.unsafe_buffer_pointer() for array in arrays])
     assert pointers[0] == pointers[1]
 
 

@@ -52,6 +52,13 @@ def test_pieces_are_what_is_packed(small, large):
     assert _bits(jax.tree.leaves(back)) == _bits(jax.tree.leaves(tree))
 
 
+def test_small_leaves_stand_before_large_ones():
+    """The order is part of what a save means: whoever changes it raises `saves.FORMAT`."""
+    tree = [jnp.arange(8192), jnp.arange(2), jnp.arange(9000), jnp.arange(8191)]
+    order = [tree[1], tree[3], tree[0], tree[2]]
+    np.testing.assert_array_equal(pack(tree), np.concatenate(order))
+
+
 @pytest.mark.parametrize("change", [-1, 1])
 def test_the_number_of_words_is_checked(change):
     tree = (jnp.zeros(3), jnp.int32(1))

@@ -6,29 +6,53 @@ from jax.test_util import check_grads
 
 from hitl_jax.products import product
 
+# The forms are for what XLA makes of products when it optimises.
+pytestmark = pytest.mark.usefixtures("compiled_fully")
 
-@pytest.mark.parametrize(
-    ("rows", "inputs", "outputs"),
-    [(3, 5, 2), (3, 2, 4), (32, 40, 10), (8, 40, 64), (128, 16, 64), (128, 40, 64), (130, 40, 1)],
-)
-@pytest.mark.parametrize("stack", [(), (2,)])
-def test_product_and_its_gradient_are_those_of_a_matrix_product(rows, inputs, outputs, stack):
+_PLAIN = [(3, 5, 2), (3, 2, 4), (31, 40, 10), (64, 31, 31), (64, 40, 3), (127, 40, 64)]
+_NARROW = [(32, 32, 4), (32, 40, 10), (128, 40, 31)]
+_TRANSPOSED = [(128, 32, 32), (128, 40, 64), (130, 40, 33)]
+
+
+def _operands(rows, inputs, outputs, stack):
+    """Inputs, weights, and weights of the outputs in a sum."""
     rng = np.random.default_rng(0)
-    x = jnp.asarray(rng.normal(size=(*stack, rows, inputs)), jnp.float32)
-    kernel = jnp.asarray(rng.normal(size=(*stack, inputs, outputs)), jnp.float32)
-    weight = jnp.asarray(rng.normal(size=(*stack, rows, outputs)), jnp.float32)
+    shapes = (rows, inputs), (inputs, outputs), (rows, outputs)
+    return [jnp.asarray(rng.normal(size=(*stack, *shape)), jnp.float32) for shape in shapes]
 
-    def total(multiply):
-        return lambda x, kernel: jnp.sum(weight * multiply(x, kernel))
 
-    ours = jax.jit(jax.value_and_grad(total(product), argnums=(0, 1)))(x, kernel)
-    theirs = jax.value_and_grad(total(jnp.matmul), argnums=(0, 1))(x, kernel)
+def _value_and_gradients(multiply):
+    def total(x, kernel, weight):
+        return jnp.sum(weight * multiply(x, kernel))
+
+    return jax.value_and_grad(total, argnums=(0, 1))
+
+
+def _assert_close(ours, theirs):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-3), ours, theirs)
 
 
-def test_gradients_under_vmap():
-    rng = np.random.default_rng(1)
-    x = jnp.asarray(rng.normal(size=(3, 4, 5)), jnp.float32)
-    kernel = jnp.asarray(rng.normal(size=(3, 5, 2)), jnp.float32)
-    each = jax.vmap(product)
-    check_grads(each, (x, kernel), order=1, modes=["rev"], atol=1e-2, rtol=1e-2)
+@pytest.mark.parametrize(("rows", "inputs", "outputs"), _PLAIN + _NARROW + _TRANSPOSED)
+@pytest.mark.parametrize("stack", [(), (2,)])
+def test_product_and_its_gradient_are_those_of_a_matrix_product(rows, inputs, outputs, stack):
+    given = _operands(rows, inputs, outputs, stack)
+    ours = jax.jit(_value_and_gradients(product))(*given)
+    _assert_close(ours, _value_and_gradients(jnp.matmul)(*given))
+
+
+@pytest.mark.parametrize(("rows", "inputs", "outputs"), _PLAIN[:1] + _NARROW + _TRANSPOSED)
+@pytest.mark.parametrize("stack", [(), (2,)])
+def test_gradients_under_vmap(rows, inputs, outputs, stack):
+    given = _operands(rows, inputs, outputs, (3, *stack))
+    ours = jax.jit(jax.vmap(_value_and_gradients(product)))(*given)
+    _assert_close(ours, jax.vmap(_value_and_gradients(jnp.matmul))(*given))
+
+
+def test_gradients_are_those_of_small_differences():
+    x, kernel, _ = _operands(32, 32, 4, ())
+    check_grads(product, (x, kernel), order=1, modes=["rev"], atol=1e-2, rtol=1e-2)
+
+
+def test_operands_of_different_stacks_are_refused():
+    with pytest.raises(AssertionError, match="shape"):
+        product(jnp.ones((2, 3, 4)), jnp.ones((4, 5)))

@@ -15,7 +15,7 @@ def test_snippets_run(snippet):
 
 
 def test_there_are_snippets():
-    assert len(_SNIPPETS) == 2
+    assert len(_SNIPPETS) == 3
 
 
 def test_importing_the_package_is_quick_and_silent():

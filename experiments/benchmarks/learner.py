@@ -52,17 +52,17 @@ def measure_product(seconds: float) -> float:
     return 2.0 * n**3 / best(lambda: product(x), seconds)
 
 
-def measure_learner(seconds: float, tile: int | None) -> list[Row]:
+def measure_learner(seconds: float) -> list[Row]:
     """Updates/s and GFLOP/s beside the product's rate: sizes that have a bar, and the default."""
     plain = AgentConfig(learner="td3", layer_norm=False)
     wide = dataclasses.replace(plain, hidden_sizes=(256, 256), batch_size=256)
     narrow = dataclasses.replace(plain, hidden_sizes=(128, 128), batch_size=128)
     peak = measure_product(seconds)
     rows = [
-        _learner_row(wide, 12, 0.45, seconds, tile),
-        _learner_row(wide, RUNS, 0.60, seconds, tile),
-        _learner_row(narrow, RUNS, 0.50, seconds, tile),
-        _learner_row(AgentConfig(), RUNS, None, seconds, tile),
+        _learner_row(wide, 12, 0.45, seconds),
+        _learner_row(wide, RUNS, 0.60, seconds),
+        _learner_row(narrow, RUNS, 0.50, seconds),
+        _learner_row(AgentConfig(), RUNS, None, seconds),
     ]
     # The machine may have been faster or slower meanwhile: the higher figure is the bound.
     peak = max(peak, measure_product(seconds))
@@ -73,11 +73,7 @@ def measure_learner(seconds: float, tile: int | None) -> list[Row]:
 
 
 def make_learner(
-    config: AgentConfig,
-    runs: int,
-    num_updates: int,
-    tile: int | None = None,
-    loop: LoopConfig = _LOOP,
+    config: AgentConfig, runs: int, num_updates: int, loop: LoopConfig = _LOOP
 ) -> Callable[[], list[jax.Array]]:
     """A call that makes `num_updates` updates of each run, from a full replay.
 
@@ -85,12 +81,10 @@ def make_learner(
         config: static choices.
         runs: a multiple of the devices' number.
         num_updates: of each run and call.
-        tile: runs vmapped together on one device; by default as the sweep does.
         loop: the size of the replay, and of what each call adds to it.
     """
     agent = make_agent(config)
-    tile = default_tile(runs) if tile is None else tile
-    programs = batch.make_programs(agent, num_updates, tile)
+    programs = batch.make_programs(agent, num_updates, default_tile(runs))
     hyper = jax.tree.map(np.asarray, hyper_for(Method.HITL_AC, Hyper()))
     layout = agent.layout
     share = runs // len(learning_devices())
@@ -116,11 +110,9 @@ def make_learner(
     return learn
 
 
-def _learner_row(
-    config: AgentConfig, runs: int, bar: float | None, seconds: float, tile: int | None
-) -> Row:
+def _learner_row(config: AgentConfig, runs: int, bar: float | None, seconds: float) -> Row:
     runs, num_updates = num_slots(runs, runs), 8
-    rate = runs * num_updates / best(make_learner(config, runs, num_updates, tile), seconds)
+    rate = runs * num_updates / best(make_learner(config, runs, num_updates), seconds)
     return {
         "network": "x".join(map(str, config.hidden_sizes)),
         "batch": config.batch_size,

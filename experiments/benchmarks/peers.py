@@ -33,6 +33,7 @@ TOGETHER = 16
 """Updates in one compiled call, ours and SBX's."""
 
 TURNS = 3
+"""Times that each is measured, all in turn."""
 
 START_SECONDS = 300.0
 VECTOR_WALKERS = 16

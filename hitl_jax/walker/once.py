@@ -9,9 +9,9 @@ Tree = TypeVar("Tree")
 
 
 def once(values: Tree) -> Tree:
-    """Keeps values on a CPU, where the long chains of a solver would grow by powers.
+    """Has values computed once on a CPU, see `border`; for a GPU nothing is done.
 
-    For a GPU nothing is done.
+    Computed again in every kernel that uses them, a solver's chains would grow exponentially.
 
     Args:
         values: arrays.
