@@ -77,6 +77,7 @@ _HIP_GAIN, _KNEE_GAIN, _DAMPING = 0.9, 4.0, 0.25
 _HULL_GAIN, _HULL_DAMPING = 0.9, 1.5  # Hips, to keep the hull level.
 _HEAVE_DAMPING = 15.0  # Knees, against vertical speed.
 
+_OBSERVATION_SIZE = 24
 _LEGS = slice(4, 14)  # Of the observation: two legs of five entries each, in this order:
 _HIP, _HIP_SPEED, _KNEE, _KNEE_SPEED, _CONTACT = range(5)
 
@@ -101,7 +102,8 @@ def scripted_walker() -> ActionSource:
     """Gymnasium's scripted walker, as a pure function: slow, and a fair human for BipedalWalker-v3.
 
     It stays on one leg while the other swings forward, puts that down, pushes off with the first,
-    and changes legs. Proportional-derivative control follows the targets of a phase.
+    and changes legs. Proportional-derivative control follows the targets of a phase. Asked for an
+    action, it raises ValueError, at trace time, where observations are not that walker's.
     """
 
     def init() -> WalkerState:
@@ -115,7 +117,11 @@ def scripted_walker() -> ActionSource:
         state: WalkerState, observation: chex.Array, key: chex.PRNGKey
     ) -> tuple[WalkerState, chex.Array]:
         del key
-        chex.assert_rank(observation, 1)
+        if observation.shape != (_OBSERVATION_SIZE,):
+            raise ValueError(
+                f"observation of shape {observation.shape}: the scripted walker, who acts for "
+                f"the human by default, sees {_OBSERVATION_SIZE}; give `make_agent` another source"
+            )
         legs = _swap(state.swapped, observation[_LEGS].reshape(2, 5))
         after, hip_targets, knee_targets = _advance(state, observation[2], *legs)
         hips = _servo(hip_targets, legs[:, _HIP], legs[:, _HIP_SPEED], _HIP_GAIN)

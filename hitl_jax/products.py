@@ -21,8 +21,9 @@ _MANY_ROWS = 128
 
 _LEAST = 32
 _LEAST_OUTPUTS = 4
-"""Rows and inputs, and outputs, from which on a product is one to XLA and not a loop. With such a
-loop JAX 0.10.2 was seen to abort where a stack of results is transposed."""
+"""Rows and inputs, and outputs, from which on a form of our own is taken. XLA makes loops of very
+small products; where a stack of their results is transposed, JAX 0.10.2 aborts in them
+(`dot_op_emitter.cc`, "Check failed: ... IsMonotonicWithDim0Major")."""
 
 
 @jax.custom_vjp

@@ -155,3 +155,9 @@ def test_no_noise_changes_nothing():
     _, noisy = human_actions.with_noise(WALKER, 0.0).act(WALKER.init(), observation, KEY)
     _, plain = WALKER.act(WALKER.init(), observation, KEY)
     np.testing.assert_array_equal(noisy, plain)
+
+
+def test_the_scripted_walker_says_what_it_sees():
+    observation = jnp.zeros(2)
+    with pytest.raises(ValueError, match=r"shape \(2,\).*24; give `make_agent`"):
+        WALKER.act(WALKER.init(), observation, jax.random.key(0))
