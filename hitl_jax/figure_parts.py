@@ -30,7 +30,6 @@ _STYLE: Any = {
     "legend.fontsize": 8.0,
     "legend.title_fontsize": 8.0,
     "legend.frameon": False,
-    "legend.handlelength": 3.5,  # room for a dash on either side of a marker
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -101,7 +100,9 @@ def panels(
 def legend(figure: Figure, lines: list[Line2D]) -> None:
     """The legend of curves over seeds, below all panels."""
     title = "interquartile mean over seeds; band: bootstrap 95 % interval"
-    figure.legend(handles=lines, title=title, loc="outside lower center")
+    marked = any(line.get_marker() != "None" for line in lines)
+    length = 3.5 if marked else None  # room for a dash on either side of a marker
+    figure.legend(handles=lines, title=title, loc="outside lower center", handlelength=length)
 
 
 def save(figure: Figure, stem: pathlib.Path) -> list[pathlib.Path]:

@@ -27,6 +27,7 @@ from hitl_jax.saved import SavedRun
 from hitl_jax.tables import EPISODE_COLUMNS, table_from_csv, table_to_csv, to_columns, to_table
 
 FORMAT = 4
+"""Of a save; another one's is refused. The order of the words of `packing` is part of it."""
 
 _DIGEST_SIZE = 16  # bytes
 _ARRAYS = tuple(name for name in SavedRun._fields if name not in ("facts", "frames"))
