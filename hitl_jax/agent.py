@@ -268,7 +268,9 @@ def learn(
     column: chex.Array,
     num_updates: int,
 ) -> TrainState:
-    """`num_updates` updates of one run from its column of the replay, and one of its boundary.
+    """`num_updates` updates of one run from its column of the replay.
+
+    And one of its boundary, where that is learned (HITL-AC).
 
     Args:
         agent: the team.
@@ -299,9 +301,6 @@ def learn(
     drawn = jax.tree.map(lambda leaf: leaf.reshape(groups, rows), drawn)
     # Long rows: XLA works along the last axis.
     noise = jax.random.normal(noise_key, (groups, rows * config.action_size))
-    pool = replay.sample_boundary(
-        memory, agent.layout, column, boundary_key, config.boundary_batch_size, hyper.gamma
-    )
 
     def several(
         state: TrainState, given: tuple[replay.Draw, chex.Array]
@@ -318,8 +317,18 @@ def learn(
         return state, None
 
     state, _ = jax.lax.scan(several, dataclasses.replace(state, key=key), (drawn, noise))
-    state, _metrics = update_boundary(agent, hyper, state, pool)
-    return state
+
+    def learn_boundary(state: TrainState) -> BoundaryState:
+        pool = replay.sample_boundary(
+            memory, agent.layout, column, boundary_key, config.boundary_batch_size, hyper.gamma
+        )
+        return update_boundary(agent, hyper, state, pool)[0].boundary
+
+    # Where runs are taken one by one, the methods that learn no boundary do not pay for it.
+    learned = jax.lax.cond(
+        hyper.learns_boundary > 0, learn_boundary, lambda state: state.boundary, state
+    )
+    return dataclasses.replace(state, boundary=learned)
 
 
 def _descend(

@@ -108,7 +108,7 @@ def test_learn_is_one_update_after_another(learner):
     config = AgentConfig(
         learner=learner, hidden_sizes=(32, 32), batch_size=64, observation_size=3, action_size=2
     )
-    agent, hyper = agents.make_agent(config), hyper_for(Method.SRL, Hyper(target_step_size=0.5))
+    agent, hyper = agents.make_agent(config), hyper_for(Method.HITL_AC, Hyper(target_step_size=0.5))
     frames = np.zeros((1, 256, agent.layout.width), np.float32)
     before_flags = frames[:, :, : agent.layout.terminated]
     before_flags[:] = np.random.default_rng(0).normal(size=before_flags.shape)
@@ -136,6 +136,11 @@ def test_learn_is_one_update_after_another(learner):
         (learned.learner, learned.boundary), (state.learner, state.boundary), rtol=1e-3, atol=1e-5
     )
     chex.assert_trees_all_equal(*(jax.random.key_data(each) for each in (learned.key, key)))
+    for method in (Method.SRL, Method.HITL_FIX):
+        other = hyper_for(method, Hyper(target_step_size=0.5))
+        fixed = _learn(agent, other, before, memory, column, updates)
+        chex.assert_trees_all_equal(fixed.boundary, before.boundary)
+        chex.assert_trees_all_close(fixed.learner, learned.learner, rtol=1e-3, atol=1e-5)
 
 
 def _act_many(agent, hyper, observations, key=None):
