@@ -268,9 +268,9 @@ def learn(
     column: chex.Array,
     num_updates: int,
 ) -> TrainState:
-    """`num_updates` updates of one run from its column of the replay.
+    """`num_updates` updates of one run, and one of its boundary where that is learned (HITL-AC).
 
-    And one of its boundary, where that is learned (HITL-AC).
+    Minibatches are drawn from its column of the replay.
 
     Args:
         agent: the team.

@@ -9,7 +9,8 @@ from hitl_jax.products import product
 # The forms are for what XLA makes of products when it optimises.
 pytestmark = pytest.mark.usefixtures("compiled_fully")
 
-_PLAIN = [(3, 5, 2), (3, 2, 4), (31, 40, 10), (64, 31, 31), (64, 40, 3), (127, 40, 64)]
+_PLAIN = [(3, 5, 2), (3, 2, 4), (31, 40, 10), (64, 31, 31), (64, 40, 3)]
+_PLAIN += [(127, 40, 64), (130, 40, 1)]
 _NARROW = [(32, 32, 4), (32, 40, 10), (128, 40, 31)]
 _TRANSPOSED = [(128, 32, 32), (128, 40, 64), (130, 40, 33)]
 
