@@ -110,21 +110,27 @@ class _Contacts(b2ContactListener):
         assert walker.hull is not None
         self._walker = walker
         self._hull = int(walker.hull.this)
-        self._feet = {int(foot.this): foot for foot in (walker.legs[1], walker.legs[3])}
+        self._parts = {int(part.this): part for part in (walker.hull, *walker.legs)}
 
     def BeginContact(self, contact: Any) -> None:
-        """The hull ends the episode, a foot stands."""
-        for body in (int(contact.fixtureA.body.this), int(contact.fixtureB.body.this)):
-            if body in self._feet:
-                self._feet[body].ground_contact = True
-            elif body == self._hull:
-                self._walker.game_over = True
+        """The hull ends the episode, a foot stands; of the others nobody asks."""
+        part = self._part(contact)
+        if part == self._hull:
+            self._walker.game_over = True
+        else:
+            self._parts[part].ground_contact = True
 
     def EndContact(self, contact: Any) -> None:
         """A foot has left one of the things that it stood on."""
-        for body in (int(contact.fixtureA.body.this), int(contact.fixtureB.body.this)):
-            if body in self._feet:
-                self._feet[body].ground_contact = False
+        self._parts[self._part(contact)].ground_contact = False
+
+    def _part(self, contact: Any) -> int:
+        """Address of the walker's body in a contact; the other body is the ground's.
+
+        Between an edge and a polygon Box2D names the polygon last: a second look is rare.
+        """
+        body = int(contact.fixtureB.body.this)
+        return body if body in self._parts else int(contact.fixtureA.body.this)
 
     # Box2D calls these for every contact at every step. Those of the base class do nothing either,
     # but only after a way back into Box2D.
@@ -277,8 +283,8 @@ class _Edges:
             share = (offset[0] + offset[1]) / square
             # A ray along an edge gives what is not a number, and no hit.
             met = (fraction >= 0) & (fraction <= 1) & (share >= 0) & (share <= 1)
-        reached = np.where(met, fraction, np.float32(1.0))
-        return np.minimum.reduceat(reached, _FIRST_PAIR, axis=0).T
+        np.copyto(fraction, np.float32(1.0), where=~met)
+        return np.minimum.reduceat(fraction, _FIRST_PAIR, axis=0).T
 
 
 class LeanWalkers:
@@ -373,7 +379,7 @@ def _proprioception(raw: np.ndarray) -> np.ndarray:
     state[1] = 2.0 * raw[1] / official.FPS
     state[2] = 0.3 * raw[2] * (official.VIEWPORT_W / official.SCALE) / official.FPS
     state[3] = 0.3 * raw[3] * (official.VIEWPORT_H / official.SCALE) / official.FPS
-    state[[5, 10]] /= official.SPEED_HIP
-    state[[6, 11]] += 1.0
-    state[[7, 12]] /= official.SPEED_KNEE
+    state[5:11:5] /= official.SPEED_HIP
+    state[6:12:5] += 1.0
+    state[7:13:5] /= official.SPEED_KNEE
     return state
