@@ -7,6 +7,7 @@ import threading
 import urllib.error
 import urllib.request
 
+import numpy as np
 from websockets.sync.client import connect
 
 from hitl_jax.agent import make_agent
@@ -104,3 +105,16 @@ class Served:
             origin=origin or f"http://{address}",
             legacy=True,
         )
+
+
+def play(session, until):
+    """Ticks up to a frame."""
+    while session.frame.number < until:
+        session.tick()
+
+
+def stored(session):
+    """All that the learner has, and what the session says is there."""
+    booked, learned = session.stored()
+    np.testing.assert_array_equal(booked, learned)
+    return learned

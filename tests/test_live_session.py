@@ -1,41 +1,27 @@
-"""A session that a person watches: late labels, what is taken back, and its journal."""
+"""A session that a person watches: late labels, and what is taken back."""
 
 import dataclasses
-import json
 
 import jax
 import numpy as np
 import pytest
-from live_team import HYPER, setup_of
+from live_team import HYPER, play, setup_of, stored
 
 from hitl_jax import boundary
 from hitl_jax.agent import make_agent
 from hitl_jax.envs import WalkerError
-from hitl_jax.files import ResultsError
-from hitl_jax.live import commands, journal, person
+from hitl_jax.live import commands, person
 from hitl_jax.live.labels import Label, judged, moved
 from hitl_jax.live.plant import Plant
 from hitl_jax.live.session import Session
-from hitl_jax.runs import LoopConfig, episode_seed
-
-
-def _play(session, until):
-    while session.frame.number < until:
-        session.tick()
-
-
-def _stored(session):
-    """All that the learner has, and what the session says is there."""
-    booked, learned = session.stored()
-    np.testing.assert_array_equal(booked, learned)
-    return learned
+from hitl_jax.runs import episode_seed
 
 
 @pytest.fixture(scope="module")
 def silent():
     """A session in which nobody says anything, and where its first alarms are."""
     session = Session(setup_of())
-    _play(session, 96)
+    play(session, 96)
     return session, [n for n in range(96) if session.flag("alarmed", n)]
 
 
@@ -44,7 +30,7 @@ def test_a_label_lands_on_the_frame_that_was_seen(silent):
     nobody, alarms = silent
     seen, late = alarms[0], 15
     session = Session(setup_of("penalty"))
-    _play(session, seen + late)
+    play(session, seen + late)
     before = session.frame.boundary
     session.danger(True, seen)
     session.danger(False, seen)
@@ -52,10 +38,10 @@ def test_a_label_lands_on_the_frame_that_was_seen(silent):
     # A false alarm of Δ⁺ has become a true one of Δ⁻.
     assert session.frame.boundary == pytest.approx(before - 0.02, abs=1e-6)
     layout = session.setup.agent.layout
-    _play(session, 96)
-    rows = _stored(session)
+    play(session, 96)
+    rows = stored(session)
     assert rows[seen, layout.boundary_reward] == 1.0
-    assert rows[seen, layout.boundary] == _stored(nobody)[seen, layout.boundary]
+    assert rows[seen, layout.boundary] == stored(nobody)[seen, layout.boundary]
     assert rows[seen + 1, layout.boundary] == rows[seen, layout.next_boundary]
     assert rows[seen, layout.next_boundary] == rows[seen, layout.boundary] - np.float32(0.01)
 
@@ -64,20 +50,20 @@ def test_a_judgement_in_time_equals_one_that_came_late(silent):
     _, alarms = silent
     first, last = alarms[0], alarms[0] + 6
     in_time, late = Session(setup_of("penalty")), Session(setup_of("penalty"))
-    _play(in_time, first)
+    play(in_time, first)
     in_time.danger(True, first)
-    _play(in_time, last)
+    play(in_time, last)
     in_time.danger(False, last - 1)
-    _play(late, last)
+    play(late, last)
     late.danger(True, first)
     late.let_go(last)  # Or the arbiter would hear of it, and might intervene now.
     columns = [
         late.setup.agent.layout.boundary_reward,
         *(late.setup.agent.layout.boundary + i for i in (0, 1)),
     ]
-    _play(in_time, 48)
-    _play(late, 48)
-    np.testing.assert_array_equal(_stored(in_time)[:, columns], _stored(late)[:, columns])
+    play(in_time, 48)
+    play(late, 48)
+    np.testing.assert_array_equal(stored(in_time)[:, columns], stored(late)[:, columns])
     assert in_time.frame.boundary == late.frame.boundary
 
 
@@ -86,7 +72,7 @@ def test_what_is_taken_back_leaves_no_trace(silent, ticks):
     """Boundary and stored rewards, also of frames that the learner had already."""
     _, alarms = silent
     session = Session(setup_of())
-    _play(session, 45)
+    play(session, 45)
     silence = next(n for n in range(45) if n not in alarms)
     session.danger(True, silence)
     session.danger(False, min(alarms[0] + 3, 44))
@@ -95,31 +81,31 @@ def test_what_is_taken_back_leaves_no_trace(silent, ticks):
     label = session.undo()
     assert (label.kind, label.first) == ("danger", silence)
     assert session.labels == []
-    _play(session, 45 + ticks)
+    play(session, 45 + ticks)
     quiet = Session(setup_of())
-    _play(quiet, 45 + ticks)
+    play(quiet, 45 + ticks)
     assert session.digest() == quiet.digest()
-    np.testing.assert_array_equal(_stored(session), _stored(quiet))
+    np.testing.assert_array_equal(stored(session), stored(quiet))
 
 
 def test_an_intervention_that_is_taken_back_costs_nothing():
     session = Session(setup_of())
     layout = session.setup.agent.layout
-    _play(session, 20)
+    play(session, 20)
     session.take(18)
     session.move([1, -1, 0.5, 0])
     assert session.controls
-    _play(session, 30)
+    play(session, 30)
     session.let_go(29)
-    _play(session, 48)
-    rows = _stored(session)
+    play(session, 48)
+    rows = stored(session)
     np.testing.assert_array_equal(rows[20:30, layout.action], [[1, -1, 0.5, 0]] * 10)
     assert (rows[20:30, layout.reward] < -19).all()
     assert session.interventions == 1
     assert [n for n in range(48) if session.flag("control", n)] == list(range(20, 30))
     assert [n for n in range(48) if session.flag("dangerous", n)] == list(range(18, 29))
     session.undo()
-    after = _stored(session)
+    after = stored(session)
     np.testing.assert_allclose(
         after[20:30, layout.reward], rows[20:30, layout.reward] + 20, atol=1e-5
     )
@@ -129,7 +115,7 @@ def test_an_intervention_that_is_taken_back_costs_nothing():
 def test_the_arbiter_hands_over_where_alarm_and_judgement_agree(silent):
     _, alarms = silent
     session = Session(setup_of())
-    _play(session, alarms[0])
+    play(session, alarms[0])
     session.danger(True, alarms[0])
     session.danger(False, alarms[0])  # A tap: over before the next step, heard all the same.
     session.tick()
@@ -148,11 +134,11 @@ def test_a_judgement_that_comes_late_can_give_control_and_is_taken_back_whole(si
     at = next(n for n in alarms if n - 4 not in alarms and n > 8)
     session = Session(setup_of(intervention))
     layout = session.setup.agent.layout
-    _play(session, at)
+    play(session, at)
     session.danger(True, at - 4)
     session.danger(False, at - 4)
     assert [n for n in range(at) if session.flag("dangerous", n)] == [at - 4]
-    _play(session, at + 3)
+    play(session, at + 3)
     until = at + 3 if intervention == "takeover" else at + 1
     judged_now = [n for n in range(at + 3) if session.flag("dangerous", n)]
     assert judged_now == [at - 4, *range(at, until)]
@@ -180,7 +166,7 @@ def test_a_judgement_that_comes_late_can_give_control_and_is_taken_back_whole(si
 def test_a_judgement_that_is_corrected_in_time_gives_no_control(silent, end):
     _, alarms = silent
     session = Session(setup_of())
-    _play(session, alarms[0])
+    play(session, alarms[0])
     session.danger(True, alarms[0])
     session.danger(False, alarms[0])
     getattr(session, end)(*([] if end == "undo" else [alarms[0]]))
@@ -193,23 +179,23 @@ def test_a_human_reset_that_is_taken_back_does_not_end_the_bootstrap(silent):
     _, alarms = silent
     session = Session(setup_of("reset"))
     layout = session.setup.agent.layout
-    _play(session, alarms[0])
+    play(session, alarms[0])
     session.danger(True, alarms[0])
     assert session.tick()["end"] == "human-reset"
     assert session.frame.ended
     session.danger(False, session.frame.number)
-    _play(session, 48)
-    assert _stored(session)[alarms[0], [layout.terminated, layout.truncated]].tolist() == [1, 0]
+    play(session, 48)
+    assert stored(session)[alarms[0], [layout.terminated, layout.truncated]].tolist() == [1, 0]
     session.undo()
-    assert _stored(session)[alarms[0], [layout.terminated, layout.truncated]].tolist() == [0, 1]
+    assert stored(session)[alarms[0], [layout.terminated, layout.truncated]].tolist() == [0, 1]
 
 
 def test_assistance_walks_only_while_the_person_has_the_controls():
     session = Session(setup_of())
     session.assist(True)
-    _play(session, 5)
+    play(session, 5)
     session.take(5)
-    _play(session, 10)
+    play(session, 10)
     layout = session.setup.agent.layout
     scripted = session.actions(5, 10)
     assert np.abs(scripted).sum() > 0
@@ -237,7 +223,7 @@ def test_a_learner_that_diverged_moves_nothing():
     hyper = dataclasses.replace(HYPER, actor_learning_rate=1e30, critic_learning_rate=1e30)
     session = Session(setup_of(hyper=hyper))
     with pytest.raises(WalkerError, match="the learner diverged: its numbers are not finite"):
-        _play(session, 400)
+        play(session, 400)
     assert np.isfinite(session.frame.observation).all()
 
 
@@ -265,139 +251,6 @@ def test_labels_cover_their_frames():
     ]
     assert np.flatnonzero(judged(labels, 1, 10)).tolist() == [1, 3, 4, 6, 7, 8]
     assert judged(labels, 5, 5).shape == (0,)
-
-
-def _act_upon(noted, session, upto, rng, share=0.2):
-    """Somebody who says all kinds of things."""
-    while session.frame.number < upto:
-        number, lottery = session.frame.number, rng.random()
-        seen = max(number - int(rng.integers(0, 20)), 0)
-        said = {
-            0: {"type": "danger", "down": bool(rng.random() < 0.5), "frame": seen},
-            1: {"type": "take", "frame": seen},
-            2: {"type": "let_go", "frame": seen},
-            3: {"type": "hands", "action": rng.uniform(-1, 1, 4).round(3).tolist()},
-            4: {"type": "undo"},
-            5: {"type": "safe", "frame": seen},
-            6: {"type": "assist", "on": bool(rng.random() < 0.5)},
-            7: {"type": "pause", "on": True},
-        }
-        if lottery < share:
-            noted.said(session, commands.parse(json.dumps(said[int(rng.integers(8))])))
-        session.tick()
-        noted.played(session)
-
-
-def test_a_journal_plays_the_session_again(tmp_path):
-    path, rng = tmp_path / "journal.jsonl", np.random.default_rng(1)
-    session = Session(setup_of())
-    noted = _begun(path)
-    _act_upon(noted, session, 1700, rng)  # More than the replay and than an episode hold.
-    assert session.episodes
-    # Killed as it wrote a line, which may stand there in part.
-    path.write_bytes(path.read_bytes() + b'{"at":1701,"sa')
-    header, lines = journal.read(path)
-    assert header == {"journal": journal.VERSION, "mode": "train"}
-    again = Session(setup_of())
-    list(journal.play(again, lines, path))
-    _play(again, session.frame.number)
-    assert again.digest() == session.digest()
-    assert again.labels == session.labels
-    assert repr(again.episodes) == repr(session.episodes)  # As text, since NaN differs from itself.
-    np.testing.assert_array_equal(_stored(again), _stored(session))
-    # It goes on in the same file, without the part of a line.
-    with pytest.raises(ResultsError, match="another process plays this session"):
-        journal.Journal(path)
-    noted.close()
-    noted = journal.Journal(path)
-    assert not noted.is_new
-    _act_upon(noted, again, 1760, rng)
-    noted.close()
-    assert all(json.loads(line) for line in path.read_text().splitlines())
-    # What stands of each frame that is kept is what the labels say.
-    kept = range(again.frame.number - again._books.size + 1, again.frame.number)
-    said = judged(again.labels, kept.start, kept.stop)
-    for number, dangerous in zip(kept, said, strict=True):
-        assert again.flag("dangerous", number) == (dangerous and again.flag("live", number))
-
-
-def _begun(path):
-    noted = journal.Journal(path)
-    assert noted.is_new
-    noted.begin({"mode": "train"})
-    return noted
-
-
-@pytest.mark.parametrize("torn", ["", '{"jour', '{"journal":2,"mode":"tr'])
-def test_a_journal_that_was_killed_at_its_first_line_begins_anew(tmp_path, torn):
-    path = tmp_path / "journal.jsonl"
-    path.write_text(torn)
-    _begun(path).close()
-    assert journal.read(path) == ({"journal": journal.VERSION, "mode": "train"}, [])
-
-
-def test_what_is_no_journal_is_left_as_it_is(tmp_path):
-    path = tmp_path / "notes.txt"
-    path.write_text("a thought\nand its beginn")
-    journal.Journal(path).close()
-    with pytest.raises(ResultsError, match="is no journal of a live session"):
-        journal.read(path)
-    assert path.read_text() == "a thought\nand its beginn"
-
-
-def test_a_line_that_the_disk_refuses_leaves_nothing(tmp_path, monkeypatch):
-    path, session = tmp_path / "journal.jsonl", Session(setup_of())
-    noted = _begun(path)
-    before, write = path.read_bytes(), journal.os.write
-    monkeypatch.setattr(journal.os, "write", lambda file, text: write(file, text[:20]))
-    with pytest.raises(ResultsError, match="No space left on device"):
-        noted.said(session, {"type": "undo"})
-    noted.close()
-    assert path.read_bytes() == before
-
-
-def test_ten_minutes_killed_at_any_moment_play_again(tmp_path):
-    """At a random one of 30,000 frames. The checksums of all chunks are compared as it plays."""
-    path, chance = tmp_path / "journal.jsonl", np.random.default_rng()
-    # It learns a little, to end sooner.
-    setup = setup_of(loop=LoopConfig(capacity=512, chunk=64, updates_per_step=1 / 32))
-    session, noted = Session(setup), _begun(path)
-    moment = int(chance.integers(1, 30_001))
-    _act_upon(noted, session, moment, np.random.default_rng(3), share=0.02)
-    noted.close()
-    written = path.read_bytes()
-    first = max(written.index(b"\n") + 1, len(written) - 200)
-    kept = int(chance.integers(first, len(written) + 1))
-    path.write_bytes(written[:kept])
-    print(f"killed at frame {moment}, as byte {kept} was written")  # Shown where it fails.
-    _, lines = journal.read(path)
-    again = Session(setup)
-    list(journal.play(again, lines, path))
-    assert again.frame.number == (lines[-1]["at"] if lines else 0)
-
-
-def test_another_session_is_noticed(tmp_path):
-    path = tmp_path / "journal.jsonl"
-    session = Session(setup_of())
-    noted = _begun(path)
-    _act_upon(noted, session, 64, np.random.default_rng(2))
-    noted.close()
-    header, lines = journal.read(path)
-    with pytest.raises(ResultsError, match="plays otherwise than it did"):
-        list(journal.play(Session(setup_of(seed=1)), lines, path))
-    said = {"type": "danger", "down": True, "frame": 999}
-    with pytest.raises(ResultsError, match="at frame 0: frame 999: must be from 0 to 0"):
-        list(journal.play(Session(setup_of()), [{"at": 0, "said": said}], path))
-    for line in ("3", "{}", '{"at": 1}', '{"at": "1", "said": {}}', '{"at": 1, "said": {}}'):
-        path.write_text(f"{json.dumps(header)}\n{line}\n")
-        with pytest.raises(ResultsError, match="line 2: is damaged"):
-            journal.read(path)
-    for text in ("", "{}\n", '{"journal": 9}\n', "hello\n", "[]\n"):
-        path.write_text(text)
-        with pytest.raises(ResultsError, match="journal"):
-            journal.read(path)
-    with pytest.raises(ResultsError, match="No such file"):
-        journal.read(tmp_path / "none")
 
 
 @pytest.mark.parametrize(
@@ -441,7 +294,7 @@ def test_a_session_begins_with_networks_that_were_learned(silent):
     first = Plant().reset(episode_seed("test", 0, 0))
     np.testing.assert_array_equal(tested.frame.observation, first)
     assert tested.frame.boundary == pytest.approx(float(tau))
-    _play(tested, 32)
+    play(tested, 32)
     other = dataclasses.replace(tested.setup.agent.config, hidden_sizes=(8,))
     agent = make_agent(other, judge=person.judge(), source=person.hands(4))
     with pytest.raises(ValueError, match="its actor has other layers"):
