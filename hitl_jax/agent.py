@@ -43,7 +43,8 @@ class Agent(NamedTuple):
     @property
     def actor(self) -> networks.Actor:
         """μ."""
-        return networks.Actor(self.config.hidden_sizes, self.config.action_size)
+        config = self.config
+        return networks.Actor(config.hidden_sizes, config.action_size, config.matmul_precision)
 
     @property
     def critic(self) -> networks.Critics:
@@ -57,8 +58,13 @@ class Agent(NamedTuple):
 
     def _critics(self, num_critics: int) -> networks.Critics:
         config = self.config
-        quantiles = config.task_learner.num_quantiles
-        return networks.Critics(config.hidden_sizes, num_critics, config.layer_norm, quantiles)
+        return networks.Critics(
+            config.hidden_sizes,
+            num_critics,
+            config.layer_norm,
+            config.task_learner.num_quantiles,
+            config.matmul_precision,
+        )
 
     @property
     def boundary_actor(self) -> networks.BoundaryActor:

@@ -15,6 +15,7 @@ from flax import struct
 from hitl_jax.human import DANGER_MODELS, HumanParams, validate_human_params
 from hitl_jax.indicator import INDICATORS
 from hitl_jax.learners import LEARNERS, Learner
+from hitl_jax.products import MATMUL_PRECISIONS
 
 BOUNDARY_SOURCES = ("network", "residual", "rule", "quantile", "pid")
 INTERVENTIONS = ("reset", "takeover", "penalty")
@@ -39,6 +40,9 @@ class AgentConfig:
             `td3-tqc` (as `td3`, the critics learn quantiles of the return).
         hidden_sizes: widths of the task networks' hidden layers.
         layer_norm: whether the task critics normalise their hidden layers.
+        matmul_precision: to what the task learner rounds what it multiplies between hidden layers:
+            `float32`, all digits, or `bfloat16`, faster where the processor multiplies bfloat16
+            (AVX512-BF16, AMX, GPUs), slower elsewhere. Sums, parameters and acting are float32.
         batch_size: transitions in a minibatch of the task learner.
         n_step: steps of reward before the bootstrap.
         boundary_source: how line 6 and line 8 of Algorithm 1 meet: `network`, `residual`, `rule`.
@@ -62,6 +66,7 @@ class AgentConfig:
     learner: str = "td3-tqc"
     hidden_sizes: tuple[int, ...] = (128, 128)
     layer_norm: bool = True
+    matmul_precision: str = "float32"
     batch_size: int = 64
     n_step: int = 4
     boundary_source: str = "rule"
@@ -79,6 +84,7 @@ class AgentConfig:
     def __post_init__(self) -> None:
         """Checks every choice; ValueError names the option, the value and what is allowed."""
         one_of("learner", self.learner, tuple(LEARNERS))
+        one_of("matmul-precision", self.matmul_precision, MATMUL_PRECISIONS)
         one_of("boundary-source", self.boundary_source, BOUNDARY_SOURCES)
         one_of("indicator", self.indicator, tuple(INDICATORS))
         one_of("danger", self.danger, tuple(DANGER_MODELS))

@@ -1,5 +1,10 @@
-"""Flax modules: actor, stacked critics, and the boundary's pair."""
+"""Flax modules: actor, stacked critics, and the boundary's pair.
 
+Task networks take a `matmul_precision` (`hitl_jax.products`) for the products between hidden
+layers, which are nearly all of the arithmetic. What is seen and what is said keep all their digits.
+"""
+
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,16 +23,24 @@ _stacked_init = nn.initializers.variance_scaling(1.0 / 3.0, "fan_in", "uniform",
 _LAYER_NORM_EPSILON = 1e-6
 
 
-def _dot_general(x: chex.Array, kernel: chex.Array, *others: Any, **named: Any) -> chex.Array:
+def _dot_general(
+    matmul_precision: str, x: chex.Array, kernel: chex.Array, *others: Any, **named: Any
+) -> chex.Array:
     """What a dense layer multiplies with: `product` a minibatch [B, I], Flax's all else."""
     if x.ndim == 2:
-        return product(x, kernel)
+        return product(x, kernel, matmul_precision)
     return jax.lax.dot_general(x, kernel, *others, **named)
 
 
-def _dense(features: int) -> nn.Dense:
+def _dense(features: int, matmul_precision: str = "float32") -> nn.Dense:
     """A layer of the actor; the boundary's networks are too small for `product` to matter."""
-    return nn.Dense(features, kernel_init=_kernel_init, dot_general=_dot_general)
+    dot_general = functools.partial(_dot_general, matmul_precision)
+    return nn.Dense(features, kernel_init=_kernel_init, dot_general=dot_general)
+
+
+def _precisions(hidden_sizes: Sequence[int], matmul_precision: str) -> list[str]:
+    """What each hidden layer's product is made with: the first one's inputs are what is seen."""
+    return ["float32", *[matmul_precision] * (len(hidden_sizes) - 1)]
 
 
 class Actor(nn.Module):
@@ -36,17 +49,21 @@ class Actor(nn.Module):
     Attributes:
         hidden_sizes: widths of the hidden layers.
         action_size: A.
+        matmul_precision: of products between hidden layers, for minibatches [B, O]; a single
+            observation's are float32.
     """
 
     hidden_sizes: Sequence[int]
     action_size: int
+    matmul_precision: str = "float32"
 
     @nn.compact
     def __call__(self, observation: chex.Array) -> chex.Array:
         """Maps observations [..., O] to actions [..., A]."""
         x = observation
-        for size in self.hidden_sizes:
-            x = nn.relu(_dense(size)(x))
+        precisions = _precisions(self.hidden_sizes, self.matmul_precision)
+        for size, precision in zip(self.hidden_sizes, precisions, strict=True):
+            x = nn.relu(_dense(size, precision)(x))
         return jnp.tanh(_dense(self.action_size)(x))
 
 
@@ -55,6 +72,7 @@ class _StackedDense(nn.Module):
 
     num_members: int
     features: int
+    precision: str = "float32"
 
     @nn.compact
     def __call__(self, x: chex.Array) -> chex.Array:
@@ -65,7 +83,7 @@ class _StackedDense(nn.Module):
         if x.ndim == 2:
             # Shared, XLA would make [F, B] of it and transpose in every product that follows.
             x = jnp.broadcast_to(x, (self.num_members, *x.shape))
-        return product(x, kernel) + bias
+        return product(x, kernel, self.precision) + bias
 
 
 @jax.custom_vjp
@@ -112,20 +130,23 @@ class Critics(nn.Module):
         num_critics: E.
         layer_norm: whether hidden layers are normalised before their nonlinearity.
         num_quantiles: Q, quantiles of the return; None for its mean.
+        matmul_precision: of products between hidden layers.
     """
 
     hidden_sizes: Sequence[int]
     num_critics: int
     layer_norm: bool
     num_quantiles: int | None = None
+    matmul_precision: str = "float32"
 
     @nn.compact
     def __call__(self, observation: chex.Array, action: chex.Array) -> chex.Array:
         """Maps observations [B, O] and actions [B, A] to values [E, B] or quantiles [E, B, Q]."""
         chex.assert_rank([observation, action], 2)
         x = jnp.concatenate([observation, action], axis=-1)
-        for size in self.hidden_sizes:
-            x = _StackedDense(self.num_critics, size)(x)
+        precisions = _precisions(self.hidden_sizes, self.matmul_precision)
+        for size, precision in zip(self.hidden_sizes, precisions, strict=True):
+            x = _StackedDense(self.num_critics, size, precision)(x)
             if self.layer_norm:
                 # With the axis of critics apart, XLA sums slowly where there is one critic.
                 x = layer_norm(x.reshape(-1, size)).reshape(x.shape)
