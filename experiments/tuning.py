@@ -21,6 +21,7 @@ from experiments.compile_cache import keep_programs
 from hitl_jax import files
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require
+from hitl_jax.differences import completed
 from hitl_jax.envs import make_pool
 from hitl_jax.episodes import FALL_REWARD
 from hitl_jax.evaluation import Evaluator, evaluate_runs
@@ -109,7 +110,7 @@ def main(options: TuningOptions) -> int:
         }
         asked = json.loads(json.dumps(asked))  # as it will be read back
         path = out / f"{name}.json"
-        if (_load(path) or {}).get("asked") == asked:
+        if (known := _load(path)) is not None and completed(known["asked"]) == asked:
             continue
         stages, tests = _measure(name, agent, loop, hyper, options)
         done = {"asked": asked, "commit": git_commit(), "stages": stages, "tests": tests}

@@ -8,6 +8,9 @@ from hitl_jax.files import ResultsError
 
 _MAX_DIFFERENCES = 5
 
+_CAME_LATER = {"agent": {"matmul_precision": "float32"}}
+"""Choices that earlier commits did not have, and what these commits did instead."""
+
 
 class ConfigMismatch(ResultsError):
     """A results folder that was made with another config."""
@@ -22,6 +25,15 @@ def flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[prefix + name] = value
     return flat
+
+
+def completed(config: dict[str, Any]) -> dict[str, Any]:
+    """A config that an earlier commit may have written, with the choices that came later."""
+    return config | {
+        section: choices | config[section]
+        for section, choices in _CAME_LATER.items()
+        if isinstance(config.get(section), dict)
+    }
 
 
 def require_same(path: pathlib.Path, has: dict[str, Any], asked: dict[str, Any]) -> None:

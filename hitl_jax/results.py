@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from hitl_jax.differences import changes, require_same
+from hitl_jax.differences import changes, completed, require_same
 from hitl_jax.files import (
     LOCK,
     TEMPORARY,
@@ -147,7 +147,7 @@ class ResultsFolder:
         return []
 
     def load_config(self) -> dict[str, Any]:
-        """The config that the folder was made with.
+        """The config that the folder was made with, complete also where an earlier commit wrote it.
 
         Raises:
             ResultsError: if this is no results folder, or config.json is damaged.
@@ -155,7 +155,7 @@ class ResultsFolder:
         path = self.path / "config.json"
         if not path.exists():
             raise ResultsError(f"{self.path}: no results here (no config.json)")
-        return _read_json(path, ("config",))["config"]
+        return completed(_read_json(path, ("config",))["config"])
 
     def load_shard(self) -> dict[str, Any] | None:
         """Which part of a sweep the folder is for; None where it is for all of it.

@@ -1,3 +1,4 @@
+import chex
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
@@ -29,6 +30,34 @@ def test_each_stacked_critic_equals_its_own_network(layer_norm):
         alone = jax.tree.map(lambda leaf, m=member: leaf[m : m + 1], params)
         single = networks.Critics((16, 8), 1, layer_norm).apply(alone, observation, action)
         np.testing.assert_allclose(single[0], together[member], rtol=1e-5, atol=1e-6)
+
+
+def _actor(hidden_sizes, precision):
+    return networks.Actor(hidden_sizes, 2, precision)
+
+
+def _critics(hidden_sizes, precision):
+    return networks.Critics(hidden_sizes, 2, layer_norm=True, matmul_precision=precision)
+
+
+@pytest.mark.parametrize("make", [_actor, _critics])
+def test_bfloat16_is_for_products_between_hidden_layers(make):
+    inputs = [jax.random.normal(_KEY, (64, 3))] * (2 if make is _critics else 1)
+    for sizes, rounded in (((64,), False), ((64, 64), True)):
+        exact, other = make(sizes, "float32"), make(sizes, "bfloat16")
+        params = other.init(_KEY, *inputs)
+        chex.assert_trees_all_equal(params, exact.init(_KEY, *inputs))
+        difference = jnp.abs(other.apply(params, *inputs) - exact.apply(params, *inputs)).max()
+        assert (0 < difference < 0.01) if rounded else difference == 0
+
+
+def test_an_actor_acts_in_float32():
+    observation = jax.random.normal(_KEY, (3,))
+    exact, other = _actor((64, 64), "float32"), _actor((64, 64), "bfloat16")
+    params = exact.init(_KEY, observation)
+    np.testing.assert_array_equal(
+        other.apply(params, observation), exact.apply(params, observation)
+    )
 
 
 def test_normalised_critics_do_not_feel_the_size_of_their_input():

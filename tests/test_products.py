@@ -49,6 +49,19 @@ def test_gradients_under_vmap(rows, inputs, outputs, stack):
     _assert_close(ours, jax.vmap(_value_and_gradients(jnp.matmul))(*given))
 
 
+@pytest.mark.parametrize(("rows", "inputs", "outputs"), _PLAIN[:1] + _NARROW + _TRANSPOSED)
+@pytest.mark.parametrize("stack", [(), (2,)])
+def test_bfloat16_rounds_operands_and_nothing_else(rows, inputs, outputs, stack):
+    given = _operands(rows, inputs, outputs, stack)
+    rounded = [value.astype("bfloat16").astype("float32") for value in given]
+    # The weights of the sum are what the gradient of the outputs is.
+    ours = jax.jit(_value_and_gradients(lambda *both: product(*both, "bfloat16")))
+    theirs = _value_and_gradients(jnp.matmul)
+    _assert_close(ours(*given[:2], rounded[2]), theirs(*rounded))
+    _assert_close(ours(*given)[1], theirs(*rounded)[1])
+    assert {one.dtype for one in jax.tree.leaves(ours(*given))} == {np.dtype("float32")}
+
+
 def test_gradients_are_those_of_small_differences():
     x, kernel, _ = _operands(32, 32, 4, ())
     check_grads(product, (x, kernel), order=1, modes=["rev"], atol=1e-2, rtol=1e-2)

@@ -17,7 +17,10 @@ from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey
 from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
 
-CONFIG = {"agent": {"learner": "td3", "hidden_sizes": (128, 128)}, "hyper": {"gamma": 0.98}}
+CONFIG = {
+    "agent": {"learner": "td3", "matmul_precision": "float32", "hidden_sizes": (128, 128)},
+    "hyper": {"gamma": 0.98},
+}
 KEY = RunKey("hitl-ac", 3)
 
 
@@ -208,10 +211,22 @@ def test_partial_episodes_are_replaced_and_give_way_to_the_run(folder):
 def test_the_same_config_resumes(folder):
     folder.create_or_resume(CONFIG, "another command")
     assert folder.load_config() == {
-        "agent": {"learner": "td3", "hidden_sizes": [128, 128]},
+        "agent": {"learner": "td3", "matmul_precision": "float32", "hidden_sizes": [128, 128]},
         "hyper": {"gamma": 0.98},
     }
     assert "seed_sweep" in (folder.path / "config.json").read_text()
+
+
+def test_a_folder_from_before_a_choice_was_one_resumes_with_its_default(tmp_path):
+    folder = ResultsFolder(tmp_path)
+    folder.create_or_resume({"agent": {"learner": "td3"}}, "command")
+    config = {"agent": {"learner": "td3", "matmul_precision": "float32"}}
+    folder.create_or_resume(config, "command")
+    config["agent"]["matmul_precision"] = "bfloat16"
+    with pytest.raises(
+        ConfigMismatch, match='precision: folder has "float32", asked for "bfloat16"'
+    ):
+        folder.create_or_resume(config, "command")
 
 
 def test_other_code_is_told(folder, monkeypatch):
@@ -226,7 +241,7 @@ def test_other_code_is_told(folder, monkeypatch):
 
 
 def test_another_config_is_refused_by_its_differences(folder):
-    other = {"agent": {"learner": "ddpg", "hidden_sizes": [128, 128]}, "hyper": {"tau": 1}}
+    other = {"agent": CONFIG["agent"] | {"learner": "ddpg"}, "hyper": {"tau": 1}}
     with pytest.raises(ConfigMismatch) as caught:
         folder.create_or_resume(other, "command")
     assert str(caught.value) == (

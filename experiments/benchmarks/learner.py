@@ -53,7 +53,10 @@ def measure_product(seconds: float) -> float:
 
 
 def measure_learner(seconds: float) -> list[Row]:
-    """Updates/s and GFLOP/s beside the product's rate: sizes that have a bar, and the default."""
+    """Updates/s and GFLOP/s beside the product's rate: sizes that have a bar, and the default.
+
+    The same again with hidden layers multiplied in bfloat16, beside the product of float32 as well.
+    """
     plain = AgentConfig(learner="td3", layer_norm=False)
     wide = dataclasses.replace(plain, hidden_sizes=(256, 256), batch_size=256)
     narrow = dataclasses.replace(plain, hidden_sizes=(128, 128), batch_size=128)
@@ -64,6 +67,9 @@ def measure_learner(seconds: float) -> list[Row]:
         _learner_row(narrow, RUNS, 0.50, seconds),
         _learner_row(AgentConfig(), RUNS, None, seconds),
     ]
+    for config in (wide, narrow, AgentConfig()):
+        rounded = dataclasses.replace(config, matmul_precision="bfloat16")
+        rows.append(_learner_row(rounded, RUNS, None, seconds))
     # The machine may have been faster or slower meanwhile: the higher figure is the bound.
     peak = max(peak, measure_product(seconds))
     for row in rows:
@@ -117,6 +123,7 @@ def _learner_row(config: AgentConfig, runs: int, bar: float | None, seconds: flo
         "network": "x".join(map(str, config.hidden_sizes)),
         "batch": config.batch_size,
         "norm": "yes" if config.layer_norm else "no",
+        "precision": config.matmul_precision,
         "runs": runs,
         "updates/s": round(rate),
         "GFLOP/s": round(rate * update_flops(config) / 1e9, 1),
