@@ -34,6 +34,7 @@ from hitl_jax.config import (
     require,
     validate_hyper,
 )
+from hitl_jax.differences import completed
 from hitl_jax.evaluation import frozen
 from hitl_jax.files import ResultsError, write_bytes_atomic
 from hitl_jax.live import journal, person
@@ -251,6 +252,7 @@ def _lines_of(path: pathlib.Path, header: dict[str, Any]) -> list[journal.Line]:
         ResultsError: naming the first difference.
     """
     before, lines = journal.read(path)
+    before = completed(before)
     for name, value in _flat(header).items():
         has = _flat(before).get(name)
         if has != value:

@@ -204,8 +204,9 @@ def _load(path: pathlib.Path) -> dict[str, Any] | None:
         data = json.loads(path.read_text())
     except (OSError, ValueError):
         return None
-    known = isinstance(data, dict) and {"asked", "commit", "stages", "tests"} <= data.keys()
-    return data if known else None
+    if not isinstance(data, dict) or not {"asked", "commit", "stages", "tests"} <= data.keys():
+        return None
+    return data if isinstance(data["asked"], dict) else None
 
 
 def table(out: pathlib.Path, options: TuningOptions) -> str:

@@ -44,7 +44,9 @@ class Agent(NamedTuple):
     def actor(self) -> networks.Actor:
         """μ."""
         config = self.config
-        return networks.Actor(config.hidden_sizes, config.action_size, config.matmul_precision)
+        return networks.Actor(
+            config.hidden_sizes, config.action_size, matmul_precision=config.matmul_precision
+        )
 
     @property
     def critic(self) -> networks.Critics:
@@ -63,7 +65,7 @@ class Agent(NamedTuple):
             num_critics,
             config.layer_norm,
             config.task_learner.num_quantiles,
-            config.matmul_precision,
+            matmul_precision=config.matmul_precision,
         )
 
     @property

@@ -40,9 +40,9 @@ class AgentConfig:
             `td3-tqc` (as `td3`, the critics learn quantiles of the return).
         hidden_sizes: widths of the task networks' hidden layers.
         layer_norm: whether the task critics normalise their hidden layers.
-        matmul_precision: to what the task learner rounds what it multiplies between hidden layers:
-            `float32`, all digits, or `bfloat16`, faster where the processor multiplies bfloat16
-            (AVX512-BF16, AMX, GPUs), slower elsewhere. Sums, parameters and acting are float32.
+        matmul_precision: how the task learner multiplies between hidden layers: `float32`, or
+            `bfloat16`, which is faster on CPUs with AVX512-BF16. Sums, parameters and acting stay
+            float32.
         batch_size: transitions in a minibatch of the task learner.
         n_step: steps of reward before the bootstrap.
         boundary_source: how line 6 and line 8 of Algorithm 1 meet: `network`, `residual`, `rule`.
@@ -103,6 +103,11 @@ class AgentConfig:
             sizes = getattr(self, name)
             if not sizes or any(size < 1 for size in sizes):
                 raise ValueError(f"{_option(name)} {sizes}: at least one layer, each of 1 or more")
+        if self.matmul_precision != "float32" and len(self.hidden_sizes) < 2:
+            raise ValueError(
+                f"--matmul-precision {self.matmul_precision}: is for products between hidden "
+                f"layers, and --hidden-sizes {self.hidden_sizes} has one: must be float32"
+            )
 
     @property
     def task_learner(self) -> Learner:

@@ -8,8 +8,8 @@ from hitl_jax.files import ResultsError
 
 _MAX_DIFFERENCES = 5
 
-_CAME_LATER = {"agent": {"matmul_precision": "float32"}}
-"""Choices that earlier commits did not have, and what these commits did instead."""
+CAME_LATER: dict[str, dict[str, Any]] = {"agent": {"matmul_precision": "float32"}}
+"""Choices added since results were kept, by section, and the value that changes nothing."""
 
 
 class ConfigMismatch(ResultsError):
@@ -29,11 +29,12 @@ def flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def completed(config: dict[str, Any]) -> dict[str, Any]:
     """A config that an earlier commit may have written, with the choices that came later."""
-    return config | {
-        section: choices | config[section]
-        for section, choices in _CAME_LATER.items()
-        if isinstance(config.get(section), dict)
-    }
+    whole = dict(config)
+    for section, choices in CAME_LATER.items():
+        has = config.get(section)
+        if isinstance(has, dict):
+            whole[section] = has | {k: v for k, v in choices.items() if k not in has}
+    return whole
 
 
 def require_same(path: pathlib.Path, has: dict[str, Any], asked: dict[str, Any]) -> None:

@@ -1,8 +1,8 @@
 """The product of a dense layer, with its gradient in the forms for which XLA has fast CPU kernels.
 
-Its operands can be narrowed to bfloat16, which some processors multiply twice as fast; sums, and
-everything else, stay float32. (JAX's own setting, `jax_default_matmul_precision`, changes nothing
-on a CPU.)
+Its operands can be rounded to bfloat16, which some processors multiply faster; sums, and everything
+else, stay float32. (JAX's own setting, `jax_default_matmul_precision`, changes nothing on a CPU:
+with "bfloat16" and "BF16_BF16_F32" JAX 0.10.2 compiles the same product of float32.)
 
 Of the three products of a layer only the gradient of its kernel, xᵀ g, sums over an axis that is
 not the last of its left operand. XLA has such a product done by a slower kernel, and where g is
@@ -35,34 +35,35 @@ small products; where a stack of their results is transposed, JAX 0.10.2 aborts 
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
-def product(x: chex.Array, kernel: chex.Array, precision: str = "float32") -> chex.Array:
+def product(x: chex.Array, kernel: chex.Array, matmul_precision: str = "float32") -> chex.Array:
     """Inputs times weights, x · kernel, for one layer or a stack of them.
 
     Args:
-        x: inputs, [..., B, I].
-        kernel: weights, [..., I, O].
-        precision: static, one of `MATMUL_PRECISIONS`: to what the operands of this product and of
-            its gradient's are rounded.
+        x: inputs, [..., B, I], float32.
+        kernel: weights, [..., I, O], float32.
+        matmul_precision: static, one of `MATMUL_PRECISIONS`: to what the operands of this product
+            and of its gradient's are rounded.
 
     Returns:
-        Outputs, [..., B, O], float32.
+        Outputs, [..., B, O].
     """
-    return _forward(x, kernel, precision)[0]
+    return _forward(x, kernel, matmul_precision)[0]
 
 
 def _forward(
-    x: chex.Array, kernel: chex.Array, precision: str
+    x: chex.Array, kernel: chex.Array, matmul_precision: str
 ) -> tuple[chex.Array, tuple[chex.Array, chex.Array]]:
     chex.assert_equal_shape_prefix([x, kernel], x.ndim - 2)
-    x, kernel = x.astype(precision), kernel.astype(precision)
+    chex.assert_type([x, kernel], jnp.float32)
+    x, kernel = x.astype(matmul_precision), kernel.astype(matmul_precision)
     return _einsum("...bi,...io->...bo", x, kernel), (x, kernel)
 
 
 def _backward(
-    precision: str, residuals: tuple[chex.Array, chex.Array], gradient: chex.Array
+    matmul_precision: str, residuals: tuple[chex.Array, chex.Array], gradient: chex.Array
 ) -> tuple[chex.Array, chex.Array]:
     x, kernel = residuals
-    gradient = gradient.astype(precision)
+    gradient = gradient.astype(matmul_precision)
     return (
         _einsum("...bo,...io->...bi", gradient, kernel),
         jax.lax.platform_dependent(x, gradient, cpu=_of_kernel_on_cpu, default=_of_kernel),

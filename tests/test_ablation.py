@@ -198,7 +198,7 @@ def test_digests_tell_options_and_budgets_apart():
 
 
 def test_the_digest_of_kept_runs_is_the_same():
-    """Whoever adds an option adds it to `store._ADDED`; whoever changes a default changes this."""
+    """Whoever adds an option adds it to `CAME_LATER`; whoever changes a default changes this."""
     kept = digest(changed({"initial_boundary": 0.45}), {"episodes": 300, "test_episodes": 20})
     assert kept == "998e7516cd7b"
 

@@ -9,13 +9,16 @@ import pytest
 from hitl_jax import acting, replay
 from hitl_jax import agent as agents
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.products import MATMUL_PRECISIONS
+from hitl_jax.types import Transition
 
 
 @functools.cache
-def _probe_agent(learner, n_step=1, layer_norm=False):
+def _probe_agent(learner, n_step=1, layer_norm=False, precision="float32"):
     config = AgentConfig(
         learner=learner,
         layer_norm=layer_norm,
+        matmul_precision=precision,
         hidden_sizes=(32, 32),
         batch_size=64,
         n_step=n_step,
@@ -46,12 +49,19 @@ def _train(agent, hyper, frames, updates):
 
 
 @pytest.mark.parametrize(
-    ("learner", "layer_norm"),
-    [("ddpg", False), ("ddpg", True), ("td3", False), ("td3", True), ("td3-tqc", True)],
+    ("learner", "layer_norm", "precision"),
+    [
+        ("ddpg", False, "float32"),
+        ("ddpg", True, "float32"),
+        ("td3", False, "float32"),
+        ("td3", True, "float32"),
+        ("td3-tqc", True, "float32"),
+        ("td3-tqc", True, "bfloat16"),
+    ],
 )
-def test_learns_a_policy_of_known_value(learner, layer_norm):
+def test_learns_a_policy_of_known_value(learner, layer_norm, precision):
     """One-step episodes with r = 1 − (a − s/2)²: μ(s) = s/2 and Q(s, μ(s)) = 1."""
-    agent = _probe_agent(learner, layer_norm=layer_norm)
+    agent = _probe_agent(learner, layer_norm=layer_norm, precision=precision)
     rng = np.random.default_rng(0)
     frames = np.zeros((1, _FRAMES, agent.layout.width), np.float32)
     steps, finals = frames[0, 0::2], frames[0, 1::2]
@@ -100,6 +110,29 @@ def test_bootstraps_through_time_limits_and_not_through_ends(
     second = agent.critic.apply(state.learner.critic, jnp.ones((1, 1)), action)
     np.testing.assert_allclose(second, np.full_like(second, last), atol=0.08)
     np.testing.assert_allclose(first, np.full_like(first, 1 + last / 2), atol=0.08)
+
+
+def test_bfloat16_changes_what_actor_and_critics_learn_and_not_how_the_actor_acts():
+    exact, rounded = (_probe_agent("td3", precision=precision) for precision in MATMUL_PRECISIONS)
+    rng, hyper = np.random.default_rng(0), _probe_hyper()
+    arrays = {name: rng.normal(size=(64, 1)) for name in ("observation", "action")}
+    arrays |= {name: rng.normal(size=64) for name in ("reward", "discount")}
+    batch = Transition(**arrays, next_observation=rng.normal(size=(64, 1)))
+    batch = jax.tree.map(jnp.float32, batch)
+    before = agents.init(exact, jax.random.key(0))
+    one, other = (
+        jax.jit(agents.update, static_argnums=0)(agent, hyper, before, batch, batch.action)[0]
+        for agent in (exact, rounded)
+    )
+    assert {leaf.dtype for leaf in jax.tree.leaves(other.learner)} == {
+        leaf.dtype for leaf in jax.tree.leaves(before.learner)
+    }
+    for name in ("actor", "critic"):
+        new, old = getattr(one.learner, name), getattr(other.learner, name)
+        difference = jax.tree.map(lambda a, b: float(jnp.abs(a - b).max()), new, old)
+        assert 0 < max(jax.tree.leaves(difference)) < 1e-2, name
+    actions = [agent.actor.apply(before.learner.actor, jnp.ones(1)) for agent in (exact, rounded)]
+    np.testing.assert_array_equal(*actions)
 
 
 @pytest.mark.parametrize("learner", ["ddpg", "td3", "td3-tqc"])

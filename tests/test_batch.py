@@ -10,11 +10,21 @@ from hitl_jax import batch, packing, replay
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.devices import cpu_device
 from hitl_jax.keys import make_key
+from hitl_jax.products import MATMUL_PRECISIONS
 
 pytestmark = pytest.mark.usefixtures("compiled_fully")
 
-_AGENT = agents.make_agent(
-    AgentConfig(learner="td3", hidden_sizes=(16, 16), batch_size=16, n_step=2)
+_AGENT, _ROUNDED = (
+    agents.make_agent(
+        AgentConfig(
+            learner="td3",
+            hidden_sizes=(16, 16),
+            batch_size=16,
+            n_step=2,
+            matmul_precision=precision,
+        )
+    )
+    for precision in MATMUL_PRECISIONS
 )
 _UPDATES = 4
 
@@ -36,10 +46,10 @@ def _frames(runs, first=0):
     return frames
 
 
-def _learn(runs, tile, skip=(), device=0):
+def _learn(runs, tile, skip=(), device=0, agent=_AGENT):
     """Training states of runs (any order, any number) after two calls of the learner."""
-    seats = _empty(len(runs), device)
-    programs = batch.make_programs(_AGENT, _UPDATES, tile)
+    seats = batch.empty_seats(agent, len(runs), 64, cpu_device(f"learner {device}"))
+    programs = batch.make_programs(agent, _UPDATES, tile)
     for slot, run in enumerate(runs):
         train, _ = jax.device_get(programs.begin(make_key(run)))
         seats = programs.seat(seats, slot, _hyper(run), train)
@@ -50,10 +60,6 @@ def _learn(runs, tile, skip=(), device=0):
         seats, _ = programs.learn(seats, _frames(runs, call), slots, np.int32(len(listed)))
     after = {run: programs.unpack_train(seats.train, slot) for slot, run in enumerate(runs)}
     return {run: jax.device_get((train.learner, train.boundary)) for run, train in after.items()}
-
-
-def _empty(num_runs, device=0):
-    return batch.empty_seats(_AGENT, num_runs, 64, cpu_device(f"learner {device}"))
 
 
 def _forget_programs():
@@ -100,11 +106,12 @@ def test_a_run_of_several_pieces_equals_the_run_alone(plainly, monkeypatch):
     _forget_programs()
 
 
-@pytest.mark.parametrize("tile", [1, 3])
-def test_neighbours_do_not_change_a_bit(tile):
+@pytest.mark.parametrize(("tile", "agent"), [(1, _AGENT), (3, _AGENT), (1, _ROUNDED)])
+def test_neighbours_do_not_change_a_bit(tile, agent):
     """Of two slots or more: see `num_slots`."""
-    few = _learn([4, 1], tile)
-    for learned in (_learn([0, 1, 4], tile), _learn([5, 4, 3, 2, 1, 0], tile)):
+    few = _learn([4, 1], tile, agent=agent)
+    for runs in ([0, 1, 4], [5, 4, 3, 2, 1, 0]):
+        learned = _learn(runs, tile, agent=agent)
         for run, train in few.items():
             jax.tree.map(np.testing.assert_array_equal, train, learned[run])
 
@@ -126,7 +133,7 @@ def test_a_run_that_is_not_listed_does_not_change(plainly):
 
 @pytest.mark.parametrize("tile", [1, 2])
 def test_seats_are_updated_in_place(tile):
-    seats = _empty(6)
+    seats = batch.empty_seats(_AGENT, 6, 64, cpu_device("learner 0"))
     programs = batch.make_programs(_AGENT, _UPDATES, tile)
     frames = _frames(range(6))
     pointers = []

@@ -12,6 +12,10 @@ from hitl_jax.learners import LEARNERS
     [
         ({"learner": "sac"}, "--learner sac: must be one of ddpg, td3, td3-tqc"),
         ({"matmul_precision": "float16"}, "--matmul-precision float16: must be one of float32"),
+        (
+            {"matmul_precision": "bfloat16", "hidden_sizes": (64,)},
+            "--matmul-precision bfloat16: is for products between hidden layers",
+        ),
         ({"boundary_source": "oracle"}, "--boundary-source oracle: must be one of network"),
         ({"intervention": "shout"}, "--intervention shout: must be one of reset"),
         ({"feedback_schedule": "year"}, "--feedback-schedule year: must be one of step"),

@@ -21,6 +21,7 @@ from experiments.judgements import load
 from hitl_jax import checkpoint
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig
+from hitl_jax.files import ResultsError
 from hitl_jax.live import journal
 
 _OPTIONS = (
@@ -144,6 +145,20 @@ def test_a_port_in_use_and_another_sessions_journal_are_refused(tmp_path, capsys
     path.write_text("my thesis\n")
     assert "is no journal of a live session" in _refused(["--journal", str(path)], capsys)
     assert path.read_text() == "my thesis\n"
+
+
+def test_a_session_from_before_a_choice_was_one_goes_on_with_its_default(tmp_path):
+    header = live.LiveOptions().header()
+    old = header | {"agent": dict(header["agent"])}
+    del old["agent"]["matmul_precision"]
+    path = tmp_path / "journal.jsonl"
+    noted = journal.Journal(path)
+    noted.begin(old)
+    noted.close()
+    assert live._lines_of(path, header) == []
+    header["agent"]["matmul_precision"] = "bfloat16"
+    with pytest.raises(ResultsError, match="matmul_precision float32, asked for bfloat16"):
+        live._lines_of(path, header)
 
 
 @pytest.mark.parametrize(

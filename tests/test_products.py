@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from hitl_jax.products import product
+from hitl_jax.products import MATMUL_PRECISIONS, product
 
 # The forms are for what XLA makes of products when it optimises.
 pytestmark = pytest.mark.usefixtures("compiled_fully")
@@ -43,9 +43,13 @@ def test_product_and_its_gradient_are_those_of_a_matrix_product(rows, inputs, ou
 
 @pytest.mark.parametrize(("rows", "inputs", "outputs"), _PLAIN[:1] + _NARROW + _TRANSPOSED)
 @pytest.mark.parametrize("stack", [(), (2,)])
-def test_gradients_under_vmap(rows, inputs, outputs, stack):
-    given = _operands(rows, inputs, outputs, (3, *stack))
-    ours = jax.jit(jax.vmap(_value_and_gradients(product)))(*given)
+@pytest.mark.parametrize("precision", MATMUL_PRECISIONS)
+def test_gradients_under_vmap(rows, inputs, outputs, stack, precision):
+    given = [
+        value.astype(precision).astype("float32")
+        for value in _operands(rows, inputs, outputs, (3, *stack))
+    ]
+    ours = jax.jit(jax.vmap(_value_and_gradients(lambda *both: product(*both, precision))))(*given)
     _assert_close(ours, jax.vmap(_value_and_gradients(jnp.matmul))(*given))
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from experiments.changes import Parts
 from experiments.training import policy_digest
+from hitl_jax.differences import CAME_LATER
 from hitl_jax.files import ResultsError, named_errors, write_text_atomic
 from hitl_jax.run_key import RunKey
 from hitl_jax.summary import SUMMARY_COLUMNS
@@ -43,16 +44,16 @@ class RunId:
         return RunKey(self.method, self.seed, self.digest)
 
 
-_ADDED: dict[str, Any] = {}
-"""Options added since the first runs were kept, by the value that changes nothing."""
-
-
 def digest(parts: Parts, budget: dict[str, int]) -> str:
-    """Twelve digits that differ when options or budget do."""
-    options = [
-        {k: v for k, v in dataclasses.asdict(part).items() if k not in _ADDED or v != _ADDED[k]}
-        for part in (parts.agent, parts.loop, parts.hyper)
-    ]
+    """Twelve digits that differ when options or budget do.
+
+    A choice that came later counts only where it changes something.
+    """
+    options = []
+    for name in ("agent", "loop", "hyper"):
+        later = CAME_LATER.get(name, {})
+        values = dataclasses.asdict(getattr(parts, name))
+        options.append({k: v for k, v in values.items() if k not in later or v != later[k]})
     asked = [*options, policy_digest(parts.human_policy), budget]
     return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:12]
 
