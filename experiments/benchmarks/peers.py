@@ -3,10 +3,10 @@
 SBX plays and learns one run a process: one process; one a core, as they are started; the same, each
 kept to its core; and these with sixteen updates after sixteen steps, which it compiles into one
 call. We play 30 runs of the same network (no normalisation), batch, n and update ratio, on the
-official walker and on the lean one, and there also with hidden layers multiplied in bfloat16, which
-SBX has no option for (JAX's own setting does not change what XLA compiles for a CPU). What still
-differs: SBX moves its targets at every update, we at every second, and its actor follows the lesser
-of both critics, ours the first, as in TD3. Bars are for float32, which is what SBX computes in.
+official walker and on the lean one, and there also with hidden layers multiplied in bfloat16, for
+which SBX has no option (JAX's own setting does not change what XLA compiles for a CPU). The bar is
+for float32. What still differs: SBX moves its targets at every update, we at every second, and its
+actor follows the lesser of both critics, ours the first, as in TD3.
 """
 
 import importlib.metadata
@@ -56,7 +56,8 @@ def measure_peers(seconds: float) -> list[Row]:
         learner = f"[{width}, {width}], batch {batch_size}"
         sbx = partial(_sbx, width, batch_size)
         ours = partial(_ours, width, batch_size)
-        reference = f"SBX TD3 {learner}, {cores} processes"
+        many, official = f"{cores} processes", "official walker"
+        reference = f"SBX TD3 {learner}, {many}"
         us = f"hitl_jax {learner}"
         rows += _rows(
             [
@@ -64,33 +65,33 @@ def measure_peers(seconds: float) -> list[Row]:
                 (reference, "sbx-rl", partial(sbx, cores, 1, False)),
                 (f"{reference}, a core each", "sbx-rl", partial(sbx, cores, 1, True)),
                 (f"{reference}, a core each, by 16", "sbx-rl", partial(sbx, cores, TOGETHER, True)),
-                (f"{us}, official walker", "hitl_jax", partial(ours, "gymnasium", "float32")),
-                (us, "hitl_jax", partial(ours, "lean", "float32")),
+                (f"{us}, {official}", "hitl_jax", partial(ours, "gymnasium", "float32")),
                 (f"{us}, bfloat16", "hitl_jax", partial(ours, "lean", "bfloat16")),
+                (us, "hitl_jax", partial(ours, "lean", "float32")),
             ],
             reference,
             5 * seconds,
-            {us: bar},
+            bar,
         )
-    us = f"hitl_jax lean, {cores} workers"
     rows += _rows(
         [
             ("gymnasium, plain loop", "gymnasium", partial(plain_rate, 1, WALKERS)),
             (f"gymnasium AsyncVectorEnv of {VECTOR_WALKERS}", "gymnasium", _vector),
             (f"EnvPool, {cores} threads", "envpool", _envpool),
-            (us, "hitl_jax", partial(pool_rate, "lean", cores)),
+            (f"hitl_jax lean, {cores} workers", "hitl_jax", partial(pool_rate, "lean", cores)),
         ],
         f"EnvPool, {cores} threads",
         seconds,
-        {us: 0.8},
+        bar=0.8,
     )
     return rows
 
 
-def _rows(ways: list[_Way], reference: str, seconds: float, bars: dict[str, float]) -> list[Row]:
+def _rows(ways: list[_Way], reference: str, seconds: float, bar: float) -> list[Row]:
     """Measures `ways` in turns, medians; ours as multiples of `reference` and of the best other.
 
     A multiple is the median of those of the turns: a machine's speed changes from turn to turn.
+    The bar is the last way's.
     """
     rates: dict[str, list[float]] = {name: [] for name, *_ in ways}
     rows: dict[str, Row] = {name: {"peer": name} for name, *_ in ways}
@@ -110,8 +111,7 @@ def _rows(ways: list[_Way], reference: str, seconds: float, bars: dict[str, floa
                 if rates[reference]:
                     rows[name]["ratio"] = _multiple(rates[name], rates[reference])
                 rows[name]["to the best"] = _multiple(rates[name], best)
-    for name, bar in bars.items():
-        rows[name]["bar"] = bar
+    rows[ways[-1][0]]["bar"] = bar
     return list(rows.values())
 
 
