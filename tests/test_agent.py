@@ -70,10 +70,10 @@ def test_learns_a_policy_of_known_value(learner, layer_norm, precision):
     steps[:, agent.layout.reward] = 1 - (steps[:, 1] - steps[:, 0] / 2) ** 2
     steps[:, agent.layout.terminated] = 1
     finals[:, agent.layout.final] = 1
-    # At 1e-3 the actor hovers 0.05 to 0.11 about the optimum, normalised or not; at 3e-4 each of
-    # eight seeds ends within 0.11 of it after 4000 updates, some only then.
-    hyper = _probe_hyper(actor_learning_rate=3e-4 if layer_norm else 1e-3)
-    state = _train(agent, hyper, frames, 4000 if layer_norm else 2000)
+    # With 2000 to 4000 updates one seed in four was further from the optimum than is allowed here.
+    # After 12,000 each of eight seeds is within 0.09 of it: which seed it is decides nothing, nor
+    # does how a processor rounds.
+    state = _train(agent, _probe_hyper(actor_learning_rate=3e-4), frames, 12_000)
     observation = jnp.linspace(-0.9, 0.9, 7)[:, None]
     action = agent.actor.apply(state.learner.actor, observation)
     np.testing.assert_allclose(action, observation / 2, atol=0.1)
