@@ -41,7 +41,7 @@ class AgentConfig:
         hidden_sizes: widths of the task networks' hidden layers.
         layer_norm: whether the task critics normalise their hidden layers.
         matmul_precision: how the task learner multiplies between hidden layers: `float32`, or
-            `bfloat16`, which is faster on CPUs with AVX512-BF16 and can end a little lower. Sums,
+            `bfloat16`, which is faster on CPUs with AVX512-BF16 and may end a little lower. Sums,
             parameters and acting stay float32.
         batch_size: transitions in a minibatch of the task learner.
         n_step: steps of reward before the bootstrap.

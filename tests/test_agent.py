@@ -71,8 +71,8 @@ def test_learns_a_policy_of_known_value(learner, layer_norm, precision):
     steps[:, agent.layout.terminated] = 1
     finals[:, agent.layout.final] = 1
     # With 2000 to 4000 updates one or two of eight seeds were more than 0.1 from the optimum.
-    # After 12,000 each of the eight is within 0.09 of it: which seed it is decides nothing, nor
-    # does how a processor rounds.
+    # After 12,000 each of the eight is within 0.09 of it, so that neither the seed nor a
+    # processor's rounding should decide.
     state = _train(agent, _probe_hyper(actor_learning_rate=3e-4), frames, 12_000)
     observation = jnp.linspace(-0.9, 0.9, 7)[:, None]
     action = agent.actor.apply(state.learner.actor, observation)

@@ -56,8 +56,7 @@ def measure_peers(seconds: float) -> list[Row]:
         learner = f"[{width}, {width}], batch {batch_size}"
         sbx = partial(_sbx, width, batch_size)
         ours = partial(_ours, width, batch_size)
-        many, official = f"{cores} processes", "official walker"
-        reference = f"SBX TD3 {learner}, {many}"
+        reference = f"SBX TD3 {learner}, {cores} processes"
         us = f"hitl_jax {learner}"
         rows += _rows(
             [
@@ -65,7 +64,7 @@ def measure_peers(seconds: float) -> list[Row]:
                 (reference, "sbx-rl", partial(sbx, cores, 1, False)),
                 (f"{reference}, a core each", "sbx-rl", partial(sbx, cores, 1, True)),
                 (f"{reference}, a core each, by 16", "sbx-rl", partial(sbx, cores, TOGETHER, True)),
-                (f"{us}, {official}", "hitl_jax", partial(ours, "gymnasium", "float32")),
+                (f"{us}, official walker", "hitl_jax", partial(ours, "gymnasium", "float32")),
                 (f"{us}, bfloat16", "hitl_jax", partial(ours, "lean", "bfloat16")),
                 (us, "hitl_jax", partial(ours, "lean", "float32")),
             ],

@@ -88,7 +88,7 @@ def draw_scaling(rows: list[Row], path: str) -> None:
         axes.set(ylabel=label, xscale="log", ylim=(0, None))
         axes.set_xticks(runs, [str(number) for number in runs])
         axes.minorticks_off()
-        axes.legend(frameon=False, fontsize=8)
+        axes.legend(framealpha=1, edgecolor="none", fontsize=8)
         axes.spines[["top", "right"]].set_visible(False)
     for axes in panels[-1]:
         axes.set_xlabel("runs at a time")
