@@ -1,8 +1,12 @@
-"""A slow machine for the kernels' text: one thread at a time, each instruction by NumPy."""
+"""A slow machine for the kernels' text: one thread after the other, each instruction by NumPy.
+
+Threads go on by themselves until they would tell each other something; there all must be at once.
+"""
 
 import operator
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,8 +37,11 @@ _COMPUTED: dict[str, Callable] = {
 }
 
 
+WARP = 32
+
+
 def run(text: str, num_threads: int, arrays: Sequence[np.ndarray]) -> None:
-    """Runs a kernel; what it tells is written into the arrays."""
+    """Runs a kernel, with one block; what it tells is written into the arrays."""
     body = text[text.index("{") + 1 : text.rindex("}")]
     lines = [line.strip().rstrip(";") for line in body.splitlines()]
     lines = [line for line in lines if line and not line.startswith(".")]
@@ -42,19 +49,65 @@ def run(text: str, num_threads: int, arrays: Sequence[np.ndarray]) -> None:
     flat = [array.reshape(-1) for array in arrays]
     program = [_parsed(line, labels, flat) for line in lines]
     with np.errstate(all="ignore"):
-        for thread in range(num_threads):
-            _run_thread(program, {"%ctaid.x": 0, "%ntid.x": num_threads, "%tid.x": thread})
+        for first in range(0, num_threads, WARP):
+            numbers = range(first, min(first + WARP, num_threads))
+            _run_warp(program, [_run_thread(program, number, num_threads) for number in numbers])
 
 
-def _run_thread(program: list, registers: dict) -> None:
+def _run_warp(program: list, threads: list) -> None:
+    """Lets threads go on, each to where it asks the others, again and again."""
+    told = [None] * len(threads)
+    while asking := {
+        lane: asked
+        for lane, thread in enumerate(threads)
+        if (asked := _next_question(thread, told[lane])) is not None
+    }:
+        assert len({place for place, _ in asking.values()}) == 1, "threads at different places"
+        (place, _), *_ = asking.values()
+        values = {lane: value for lane, (_, value) in asking.items()}
+        told = [None] * len(threads)
+        for lane in asking:
+            told[lane] = program[place].answer(lane, values)
+
+
+def _next_question(thread: Iterator, told: object) -> tuple | None:
+    try:
+        return thread.send(told)
+    except StopIteration:
+        return None
+
+
+def _run_thread(program: list, number: int, num_threads: int) -> Iterator:
+    """Runs a thread; stops where it asks others, with the place and what it tells them."""
+    registers = {"%ctaid.x": 0, "%ntid.x": num_threads, "%tid.x": number}
     place = 0
     while place < len(program):
         step = program[place]
-        jump = None if step is None else step(registers)
+        if isinstance(step, _Question):
+            registers[step.target] = yield place, step.read(registers)
+            jump = None
+        else:
+            jump = None if step is None else step(registers)
         place = place + 1 if jump is None else jump
 
 
-def _parsed(line: str, labels: dict[str, int], arrays: list[np.ndarray]) -> Callable | None:
+class _Question(NamedTuple):
+    """An instruction by which threads tell each other.
+
+    Attributes:
+        target: the register of what is told.
+        read: what a thread tells.
+        answer: what a lane is told, from what all lanes tell.
+    """
+
+    target: str
+    read: Callable
+    answer: Callable
+
+
+def _parsed(
+    line: str, labels: dict[str, int], arrays: list[np.ndarray]
+) -> Callable | _Question | None:
     """What an instruction does: it changes the registers, and may say where to go on."""
     if line.endswith(":"):
         return None
@@ -69,6 +122,13 @@ def _parsed(line: str, labels: dict[str, int], arrays: list[np.ndarray]) -> Call
     code, rest = line.split(" ", 1)
     name, *types = code.split(".")
     first, *others = [part.strip() for part in rest.split(",")]
+    if code == "shfl.sync.bfly.b32":
+        assert others[2:] == ["31", "-1"]
+        distance = int(others[1])
+        return _Question(first, _operand(others[0]), lambda lane, told: told[lane ^ distance])
+    if code == "vote.sync.any.pred":
+        assert others[1:] == ["-1"]
+        return _Question(first, _operand(others[0]), lambda _, told: any(told.values()))
     if name == "st":
         return _stored(first, _operand(others[0]), types[-1], arrays)
     if name == "ld" and types[0] == "param":

@@ -1,6 +1,7 @@
 """The solver's loops as a GPU's kernels, on a slow machine of the tests' own."""
 
 import functools
+import math
 import types
 
 import gymnasium
@@ -12,6 +13,7 @@ import pytest
 
 from hitl_jax.envs import WALKER
 from hitl_jax.walker import (
+    by_parts,
     copying,
     grips,
     ground,
@@ -59,43 +61,79 @@ def _prepared(before, heights):
     return near, manifold, contacts, hinge, grips.prepare(manifold, legs)
 
 
-def _agree(function, args, num_parts=None, tolerance=2e-5):
-    """The text does what the function does, as it is for a GPU, and that what it is on a CPU."""
-    args = jax.tree.map(
-        lambda leaf: np.broadcast_to(leaf, (*np.shape(leaf)[:-1], _WALKERS)).copy(), args
-    )
+def _emulated(function, parts=()):
+    """A function as a kernel, as it is for a GPU, on the slow machine."""
+
+    def call(*args):
+        batch = max(leaf.shape[-1] for leaf in jax.tree.leaves(args))
+        args = jax.tree.map(
+            lambda leaf: np.broadcast_to(leaf, (*np.shape(leaf)[:-1], batch)).copy(), args
+        )
+        with pytest.MonkeyPatch.context() as patch:
+            for module in ("kernel", "grips", "once", "rarely", "world"):
+                patch.setattr(f"hitl_jax.walker.{module}.on_gpu", lambda: True)
+            # Not the same object: JAX would give what it has traced for a CPU.
+            text, told = kernel.written(lambda *args: function(*args), parts, args)
+        results = [np.zeros(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(told)]
+        ptx_machine.run(text, batch * math.prod(parts), [*jax.tree.leaves(args), *results])
+        return jax.tree.unflatten(jax.tree.structure(told), results)
+
+    return call
+
+
+def _agree(function, args, parts=()):
+    """The text does what the function does on a CPU."""
+    _are_close(_emulated(function, parts)(*args), jax.jit(function)(*args))
+
+
+def _are_close(got, expected):
+    for one, other in zip(jax.tree.leaves(got), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(one, other, atol=2e-5, rtol=2e-5)
+
+
+def _is_as_on_a_cpu(function, args):
+    """A part of a step with threads for each part of the legs gives what it gives on a CPU."""
     expected = jax.jit(function)(*args)
     with pytest.MonkeyPatch.context() as patch:
-        for module in ("kernel", "grips", "once", "rarely", "world"):
-            patch.setattr(f"hitl_jax.walker.{module}.on_gpu", lambda: True)
-        # Not the same object: JAX would give what it has traced for a CPU.
-        text, told = kernel.written(lambda *args: function(*args), num_parts, args)
-    results = [np.zeros(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(told)]
-    threads = _WALKERS * (num_parts or 1)
-    ptx_machine.run(text, threads, [*jax.tree.leaves(args), *results])
-    for got, leaf in zip(results, jax.tree.leaves(expected), strict=True):
-        np.testing.assert_allclose(got, leaf, atol=tolerance, rtol=tolerance)
+        patch.setattr(world, "on_gpu", lambda: True)
+        patch.setattr(by_parts, "as_kernel", _emulated)
+        got = function(*args)
+    _are_close(got, expected)
 
 
-def _motion(before, contacts, grip):
-    normal, along = grips.begin(grip, contacts)
-    impulses = [jax.tree.map(lambda leaf, i=i: leaf[i], before.impulses) for i in range(4)]
-    return world._Motion(world._rows(before.velocity, before.spin), impulses, normal, along)
-
-
-@pytest.mark.parametrize("many", [False, True])
-def test_velocity_rounds(now, many):
+def test_velocity_rounds(now):
     before, _, _, contacts, hinge, grip = now
-    flags = jnp.full(_WALKERS, many)
-    args = (flags, _motion(before, contacts, grip), hinge, grip)
-    _agree(world._either_rounds, args)
+    assert contacts.touching[:, 1::2].any()
+    _is_as_on_a_cpu(world._velocities, (before, hinge, grip, contacts))
+
+
+def test_velocity_rounds_with_contacts_of_all_parts(now):
+    """Also where a walker touches with its thighs, and with more than two edges."""
+    before, _, _, contacts, hinge, grip = now
+    everywhere = jax.tree.map(
+        lambda leaf: np.broadcast_to(leaf[:1, 1:2], leaf.shape), (contacts, grip.points)
+    )
+    contacts, points = everywhere
+    matrices = jax.tree.map(
+        lambda leaf: np.broadcast_to(leaf[:1, 1:2], leaf.shape), (grip.matrix, grip.inverse)
+    )
+    grip = grips.Grips(grip.weight, points, *matrices)
+    _is_as_on_a_cpu(world._velocities, (before, hinge, grip, contacts))
 
 
 def test_position_rounds(now):
     before, _, manifold, _, hinge, _ = now
-    carry = before.place, before.angle, jnp.ones(_WALKERS, bool)
-    rounds = functools.partial(world._position_rounds, 0)
-    _agree(rounds, (carry, (hinge.side, manifold)))
+    _is_as_on_a_cpu(world._settle, (before.place, before.angle, hinge.side, manifold))
+
+
+def test_position_rounds_of_a_walker_out_of_joint(now):
+    """It needs all rounds, of both legs; its neighbours do not."""
+    before, _, manifold, _, hinge, _ = now
+    shift = np.zeros((5, _WALKERS), np.float32)
+    shift[[1, 4], 0] = 0.2, -0.1
+    place = Vec(before.place.x + shift, before.place.y)
+    angle = before.angle + shift
+    _is_as_on_a_cpu(world._settle, (place, angle, hinge.side, manifold))
 
 
 def test_impacts_have_a_thread_for_each_part(now):
@@ -112,7 +150,7 @@ def test_impacts_have_a_thread_for_each_part(now):
     assert (jax.jit(impact.land)(moved, near).done > 0).any()
     needed = jnp.arange(4 * _WALKERS).reshape(4, _WALKERS) % 2 == 0
     work = functools.partial(where_needed, impact.land)
-    _agree(work, (needed, moved, near), num_parts=4)
+    _agree(work, (needed, moved, near), parts=(4,))
 
 
 def test_terrain(now):
@@ -129,7 +167,7 @@ def test_sine_and_cosine_are_as_good_as_float32():
 
 
 def test_threads_beyond_the_batch_do_nothing():
-    text, _ = kernel.written(lambda a: a + 1, None, (np.zeros(3, np.float32),))
+    text, _ = kernel.written(lambda a: a + 1, (), (np.zeros(3, np.float32),))
     given, told = np.zeros(3, np.float32), np.zeros(5, np.float32)
     ptx_machine.run(text, 5, [given, told])
     assert told.tolist() == [1, 1, 1, 0, 0]
@@ -137,13 +175,57 @@ def test_threads_beyond_the_batch_do_nothing():
 
 def test_what_threads_would_have_to_tell_each_other_is_refused():
     with pytest.raises(NotImplementedError, match="over threads"):
-        kernel.written(lambda a: a + a.sum(), None, (np.zeros(3, np.float32),))
+        kernel.written(lambda a: a + a.sum(), (), (np.zeros(3, np.float32),))
 
 
 def test_leaves_of_other_batches_are_named():
     args = (np.zeros((2, 3), np.float32), np.zeros(4, np.float32))
     with pytest.raises(ValueError, match=r"shape \(4,\): must end with \(3,\)"):
-        kernel.written(lambda a, b: (a, b), None, args)
+        kernel.written(lambda a, b: (a, b), (), args)
+
+
+def test_threads_of_a_walker_tell_each_other():
+    def told(a):
+        legs = jnp.flip(a, -3)
+        known = a[0] > 0
+        return legs, jnp.flip(a, (0, -2)), jnp.where(jnp.flip(known, -2), 1, jnp.int32(0))
+
+    a = np.arange(24, dtype=np.float32).reshape(2, 2, 2, 3) % 5 - 2
+    _agree(told, (a,), parts=(2, 2))
+
+
+def test_threads_of_a_walker_go_round_together():
+    """As often as the slowest needs, each for itself doing nothing when it is done."""
+
+    def halved(a):
+        def one(carry):
+            a, told = carry
+            return jnp.where(a > 1, a / 2, a), told + jnp.where(jnp.flip(a, -2) > 1, 1.0, 0.0)
+
+        return jax.lax.while_loop(lambda carry: (carry[0] > 1).any(), one, (a, 0 * a))
+
+    _agree(halved, (np.array([1, 90, 7, 3], np.float32).reshape(2, 2, 1),), parts=(2, 2))
+
+
+@pytest.mark.parametrize(
+    ("function", "parts"),
+    [
+        (lambda a: jnp.flip(a, -2), (4,)),
+        (lambda a: jnp.flip(a, -1), (2, 2)),
+        (lambda a: jax.lax.cond((a > 0).any(), lambda: jnp.flip(a, -2), lambda: a), (2, 2)),
+    ],
+)
+def test_threads_that_may_not_come_to_an_exchange_are_refused(function, parts):
+    with pytest.raises(NotImplementedError, match="flipped, or in a branch"):
+        kernel.written(function, parts, (np.zeros((*parts, 3), np.float32),))
+
+
+@pytest.mark.parametrize(
+    ("threads", "parts", "cores", "block"),
+    [(1002, 1, 132, 1), (4008, 4, 132, 4), (16_384, 4, 132, 16), (10**6, 4, 132, 32), (8, 4, 1, 4)],
+)
+def test_blocks_are_small_while_a_gpu_has_room(threads, parts, cores, block):
+    assert kernel.block_size(threads, parts, cores) == block
 
 
 def test_on_a_cpu_a_function_stays_itself():
@@ -179,9 +261,9 @@ def test_kernels_are_for_gpus_that_know_their_instructions(
 )
 def test_what_a_kernel_would_get_wrong_is_refused(function, message):
     with pytest.raises(NotImplementedError, match=message):
-        kernel.written(function, None, (np.zeros(3, np.float32),))
+        kernel.written(function, (), (np.zeros(3, np.float32),))
 
 
 def test_results_without_the_batch_are_named():
     with pytest.raises(ValueError, match=r"result of shape \(3,\): must end with the batch"):
-        kernel.written(lambda a: (a, jnp.arange(3.0)), None, (np.zeros(5, np.float32),))
+        kernel.written(lambda a: (a, jnp.arange(3.0)), (), (np.zeros(5, np.float32),))

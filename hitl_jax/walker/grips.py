@@ -41,7 +41,7 @@ class Weight:
     inertia: jax.Array
 
 
-_WEIGHT = Weight(
+WEIGHT = Weight(
     jnp.asarray(parts.INVERSE_MASS[1:, None], jnp.float32),
     jnp.asarray(parts.INVERSE_INERTIA[1:, None], jnp.float32),
 )
@@ -95,7 +95,7 @@ def prepare(manifold: Manifold, part: Pose) -> Grips:
     Returns:
         The contacts.
     """
-    mass, inertia = _WEIGHT.mass, _WEIGHT.inertia
+    mass, inertia = WEIGHT.mass, WEIGHT.inertia
     seen = []
     for (normal, point, apart), valid in zip(manifold.look(part), manifold.valid, strict=True):
         # The middle between the two skins, which is what is pushed at.
@@ -125,7 +125,7 @@ def prepare(manifold: Manifold, part: Pose) -> Grips:
     xy = jnp.where(both, xy, 0.0)
     scale = 1.0 / (xx * yy - xy * xy)
     inverse = yy * scale, -xy * scale, xx * scale
-    return Grips(_WEIGHT, (points[0], points[1]), (xx, xy, yy), inverse)
+    return Grips(WEIGHT, (points[0], points[1]), (xx, xy, yy), inverse)
 
 
 def _sign(manifold: Manifold) -> jax.Array:
@@ -265,7 +265,7 @@ def _complement(grip: Grips, gap_1: jax.Array, gap_2: jax.Array, normal: Pair) -
 
 
 def position_round(
-    place: Vec, turn: jax.Array, manifold: Manifold, firmness: float
+    place: Vec, turn: jax.Array, manifold: Manifold, weight: Weight, firmness: float
 ) -> tuple[Vec, jax.Array, jax.Array]:
     """One round of lifting parts out of the ground.
 
@@ -273,6 +273,7 @@ def position_round(
         place: centres of mass of the parts.
         turn: their angles [rad].
         manifold: of the slots.
+        weight: of the parts.
         firmness: the share of the depth that is taken back at once.
 
     Returns:
@@ -282,13 +283,13 @@ def position_round(
     for slot in range(manifold.edge.shape[0]):
         here: Manifold = jax.tree.map(lambda leaf, slot=slot: leaf[slot], manifold)
         carry = jax.lax.cond(
-            here.touching.any(), _lift, lambda carry, *_: carry, carry, here, firmness
+            here.touching.any(), _lift, lambda carry, *_: carry, carry, here, weight, firmness
         )
     return carry
 
 
 def _lift(
-    carry: tuple[Vec, jax.Array, jax.Array], manifold: Manifold, firmness: float
+    carry: tuple[Vec, jax.Array, jax.Array], manifold: Manifold, weight: Weight, firmness: float
 ) -> tuple[Vec, jax.Array, jax.Array]:
     """Both points of one slot, in turn."""
     place, turn, least = carry
@@ -298,8 +299,8 @@ def _lift(
         least = jnp.minimum(least, apart)
         depth = jnp.clip(firmness * (apart + parts.LINEAR_SLOP), -parts.MAX_LINEAR_CORRECTION, 0.0)
         lever = cross(point - place, normal)
-        push = once(-depth / (_WEIGHT.mass + _WEIGHT.inertia * lever * lever))
-        place = place + normal * (push * _WEIGHT.mass)
-        turn = turn + _WEIGHT.inertia * lever * push
+        push = once(-depth / (weight.mass + weight.inertia * lever * lever))
+        place = place + normal * (push * weight.mass)
+        turn = turn + weight.inertia * lever * push
         place, turn = once((place, turn))
     return place, turn, least

@@ -7,6 +7,7 @@ Source: E. Catto, "Iterative Dynamics with Temporal Coherence", 2005, and the be
 """
 
 import dataclasses
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,8 @@ import numpy as np
 from hitl_jax.walker import parts
 from hitl_jax.walker.once import once
 from hitl_jax.walker.plane import Pose, Speeds, Vec, cross, dot, pose, vec
+
+Tree = TypeVar("Tree")
 
 _A, _B = np.array(parts.HINGES).T
 
@@ -151,32 +154,40 @@ def begin(hinges: Hinges, impulses: Impulses) -> Impulses:
     return Impulses(impulses.point, jnp.where(holds, impulses.limit, 0.0), impulses.motor)
 
 
-def _push(rows: list[Speeds], hinges: Hinges, index: int, point: Vec, turn: jax.Array) -> None:
-    """Gives an impulse at a hinge and a turning one to its two bodies."""
+def _push(
+    index: int, pair: tuple[Speeds, Speeds], hinge: Hinges, point: Vec, turn: jax.Array
+) -> tuple[Speeds, Speeds]:
+    """The two bodies of a hinge after an impulse at it and a turning one."""
     first, second = parts.HINGES[index]
-    arm_a, arm_b = _row(hinges.arm_a, index), _row(hinges.arm_b, index)
     mass, inertia = parts.INVERSE_MASS, parts.INVERSE_INERTIA
-    a, b = rows[first], rows[second]
-    rows[first] = Speeds(
+    a, b = pair
+    return Speeds(
         a.velocity - point * float(mass[first]),
-        a.spin - float(inertia[first]) * (cross(arm_a, point) + turn),
-    )
-    rows[second] = Speeds(
+        a.spin - float(inertia[first]) * (cross(hinge.arm_a, point) + turn),
+    ), Speeds(
         b.velocity + point * float(mass[second]),
-        b.spin + float(inertia[second]) * (cross(arm_b, point) + turn),
+        b.spin + float(inertia[second]) * (cross(hinge.arm_b, point) + turn),
     )
 
 
-def _row(vectors: Vec, index: int) -> Vec:
-    return Vec(vectors.x[index], vectors.y[index])
+def _row(tree: Tree, index: int) -> Tree:
+    result: Tree = jax.tree.map(lambda leaf: leaf[index], tree)
+    return result
 
 
 def warm(rows: list[Speeds], hinges: Hinges, impulses: Impulses) -> list[Speeds]:
     """Velocities after the impulses to begin with."""
     rows = list(rows)
     for index in parts.HINGE_ORDER:
-        turn = impulses.motor[index] + impulses.limit[index]
-        _push(rows, hinges, index, _row(impulses.point, index), turn)
+        first, second = parts.HINGES[index]
+        begun = _row(impulses, index)
+        rows[first], rows[second] = _push(
+            index,
+            (rows[first], rows[second]),
+            _row(hinges, index),
+            begun.point,
+            begun.motor + begun.limit,
+        )
     return rows
 
 
@@ -195,41 +206,58 @@ def velocity_round(
     """
     rows, impulses = list(rows), list(impulses)
     for index in parts.HINGE_ORDER:
-        impulses[index] = _solve(rows, hinges, index, impulses[index])
+        first, second = parts.HINGES[index]
+        (rows[first], rows[second]), impulses[index] = solve(
+            index, (rows[first], rows[second]), _row(hinges, index), impulses[index]
+        )
     return rows, impulses
 
 
-def _solve(rows: list[Speeds], hinges: Hinges, index: int, before: Impulses) -> Impulses:
-    """Motor, then point and limit together, of one hinge; changes the two rows."""
+def solve(
+    index: int, pair: tuple[Speeds, Speeds], hinge: Hinges, before: Impulses
+) -> tuple[tuple[Speeds, Speeds], Impulses]:
+    """One hinge in a round: the motor, then point and limit together.
+
+    Args:
+        index: which hinge; the legs are alike.
+        pair: velocities of its two bodies.
+        hinge: its own row of the hinges.
+        before: its impulses so far.
+
+    Returns:
+        The pair and the impulses after it.
+    """
     first, second = parts.HINGES[index]
     motor_mass = float(1.0 / (parts.INVERSE_INERTIA[first] + parts.INVERSE_INERTIA[second]))
-    strength = hinges.strength[index]
-    slip = rows[second].spin - rows[first].spin - hinges.speed[index]
+    strength = hinge.strength
+    slip = pair[1].spin - pair[0].spin - hinge.speed
     motor = once(jnp.clip(before.motor - motor_mass * slip, -strength, strength))
     zero = jnp.zeros_like(motor)
-    _push(rows, hinges, index, Vec(zero, zero), motor - before.motor)
+    a, b = _push(index, pair, hinge, Vec(zero, zero), motor - before.motor)
 
-    a, b = rows[first], rows[second]
-    arm_a, arm_b = _row(hinges.arm_a, index), _row(hinges.arm_b, index)
+    arm_a, arm_b = hinge.arm_a, hinge.arm_b
     x = b.velocity.x - b.spin * arm_b.y - a.velocity.x + a.spin * arm_a.y
     y = b.velocity.y + b.spin * arm_b.x - a.velocity.y - a.spin * arm_a.x
     x, y, z = once((x, y, b.spin - a.spin))
-    side, limit = hinges.side[index], before.limit
-    xx, xy, xz, yy, yz, zz = (entry[index] for entry in hinges.full)
+    side, limit = hinge.side, before.limit
+    xx, xy, xz, yy, yz, zz = hinge.full
     turn = -(xz * x + yz * y + zz * z)
     holds = (side != 0) & (side * (limit + turn) >= 0)
     turn = jnp.where(holds, turn, -limit)
     # Where the limit would pull it lets go, and the point is solved without it.
-    coupling = _row(hinges.coupling, index)
-    alone_x, alone_y = limit * coupling.x - x, limit * coupling.y - y
-    pxx, pxy, pyy = (entry[index] for entry in hinges.inverse)
+    alone_x, alone_y = limit * hinge.coupling.x - x, limit * hinge.coupling.y - y
+    pxx, pxy, pyy = hinge.inverse
     point = Vec(
         jnp.where(holds, -(xx * x + xy * y + xz * z), pxx * alone_x + pxy * alone_y),
         jnp.where(holds, -(xy * x + yy * y + yz * z), pxy * alone_x + pyy * alone_y),
     )
     point, turn = once((point, turn))
-    _push(rows, hinges, index, point, turn)
-    return Impulses(before.point + point, limit + turn, motor)
+    pair = _push(index, (a, b), hinge, point, turn)
+    return pair, Impulses(before.point + point, limit + turn, motor)
+
+
+Placed = tuple[Vec, jax.Array]
+"""Where a body's centre of mass is [m], and its angle [rad]."""
 
 
 def position_round(
@@ -245,40 +273,56 @@ def position_round(
     Returns:
         Places and turns after it, and whether all was well before, bool [B].
     """
-    places, turns = list(places), list(turns)
+    bodies = list(zip(places, turns, strict=True))
     good = jnp.ones(side.shape[1:], bool)
     for index in parts.HINGE_ORDER:
         first, second = parts.HINGES[index]
-        inertia_a, inertia_b = (float(parts.INVERSE_INERTIA[body]) for body in (first, second))
-        mass_a, mass_b = (float(parts.INVERSE_MASS[body]) for body in (first, second))
-        motor_mass = 1.0 / (inertia_a + inertia_b)
-        # How far beyond the limit, the same for both limits but for the sign.
-        angle = turns[second] - turns[first] - float(parts.REFERENCE[index])
-        at = side[index]
-        bound = jnp.where(at > 0, float(parts.LOWER[index]), float(parts.UPPER[index]))
-        beyond = at * (bound - angle)
-        good &= (at == 0) | (beyond <= parts.ANGULAR_SLOP)
-        excess = jnp.clip(beyond - parts.ANGULAR_SLOP, 0.0, parts.MAX_ANGULAR_CORRECTION)
-        turn = at * motor_mass * excess
-        turn_a, turn_b = once((turns[first] - inertia_a * turn, turns[second] + inertia_b * turn))
+        (bodies[first], bodies[second]), was_good = join(
+            index, (bodies[first], bodies[second]), side[index], float(parts.REFERENCE[index])
+        )
+        good &= was_good
+    bodies = once(bodies)
+    return [place for place, _ in bodies], [turn for _, turn in bodies], good
 
-        arm_a = pose(places[first], turn_a).turned(vec(parts.ANCHORS[index, 0]))
-        arm_b = pose(places[second], turn_b).turned(vec(parts.ANCHORS[index, 1]))
-        apart = places[second] + arm_b - places[first] - arm_a
-        arm_a, arm_b, apart = once((arm_a, arm_b, apart))
-        good &= dot(apart, apart) <= parts.LINEAR_SLOP**2
-        xx = mass_a + mass_b + inertia_a * arm_a.y * arm_a.y + inertia_b * arm_b.y * arm_b.y
-        xy = -inertia_a * arm_a.x * arm_a.y - inertia_b * arm_b.x * arm_b.y
-        yy = mass_a + mass_b + inertia_a * arm_a.x * arm_a.x + inertia_b * arm_b.x * arm_b.x
-        scale = -1.0 / (xx * yy - xy * xy)
-        push = once(
-            Vec(scale * (yy * apart.x - xy * apart.y), scale * (xx * apart.y - xy * apart.x))
-        )
-        places[first], places[second] = (
-            places[first] - push * mass_a,
-            places[second] + push * mass_b,
-        )
-        turns[first] = turn_a - inertia_a * cross(arm_a, push)
-        turns[second] = turn_b + inertia_b * cross(arm_b, push)
-    places, turns = once((places, turns))
-    return places, turns, good
+
+def join(
+    index: int, pair: tuple[Placed, Placed], side: jax.Array, reference: jax.Array | float
+) -> tuple[tuple[Placed, Placed], jax.Array]:
+    """Puts the two bodies of a hinge together again.
+
+    Args:
+        index: which hinge; the legs are alike.
+        pair: its two bodies.
+        side: of its limit, as `Hinges.side`.
+        reference: what counts as its angle 0 [rad].
+
+    Returns:
+        The two bodies after it, and whether all was well before, bool.
+    """
+    first, second = parts.HINGES[index]
+    inertia_a, inertia_b = (float(parts.INVERSE_INERTIA[body]) for body in (first, second))
+    mass_a, mass_b = (float(parts.INVERSE_MASS[body]) for body in (first, second))
+    motor_mass = 1.0 / (inertia_a + inertia_b)
+    (place_a, turn_a), (place_b, turn_b) = pair
+    # How far beyond the limit, the same for both limits but for the sign.
+    angle = turn_b - turn_a - reference
+    bound = jnp.where(side > 0, float(parts.LOWER[index]), float(parts.UPPER[index]))
+    beyond = side * (bound - angle)
+    good = (side == 0) | (beyond <= parts.ANGULAR_SLOP)
+    excess = jnp.clip(beyond - parts.ANGULAR_SLOP, 0.0, parts.MAX_ANGULAR_CORRECTION)
+    turn = side * motor_mass * excess
+    turn_a, turn_b = once((turn_a - inertia_a * turn, turn_b + inertia_b * turn))
+
+    arm_a = pose(place_a, turn_a).turned(vec(parts.ANCHORS[index, 0]))
+    arm_b = pose(place_b, turn_b).turned(vec(parts.ANCHORS[index, 1]))
+    apart = place_b + arm_b - place_a - arm_a
+    arm_a, arm_b, apart = once((arm_a, arm_b, apart))
+    good &= dot(apart, apart) <= parts.LINEAR_SLOP**2
+    xx = mass_a + mass_b + inertia_a * arm_a.y * arm_a.y + inertia_b * arm_b.y * arm_b.y
+    xy = -inertia_a * arm_a.x * arm_a.y - inertia_b * arm_b.x * arm_b.y
+    yy = mass_a + mass_b + inertia_a * arm_a.x * arm_a.x + inertia_b * arm_b.x * arm_b.x
+    scale = -1.0 / (xx * yy - xy * xy)
+    push = once(Vec(scale * (yy * apart.x - xy * apart.y), scale * (xx * apart.y - xy * apart.x)))
+    a = place_a - push * mass_a, turn_a - inertia_a * cross(arm_a, push)
+    b = place_b + push * mass_b, turn_b + inertia_b * cross(arm_b, push)
+    return (a, b), good

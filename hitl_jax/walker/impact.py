@@ -103,7 +103,9 @@ def _impact(
 
     def lift(carry: tuple) -> tuple:
         count, place, turn, active = carry
-        new_place, new_turn, least = grips.position_round(place, turn, manifold, _FIRMNESS)
+        new_place, new_turn, least = grips.position_round(
+            place, turn, manifold, grips.WEIGHT, _FIRMNESS
+        )
         place, turn = where(active, new_place, place), jnp.where(active, new_turn, turn)
         return count + 1, place, turn, active & (least < _GOOD_ENOUGH)
 

@@ -1,4 +1,4 @@
-"""A function of a batch as one kernel of a GPU: a walker a thread, its numbers in registers.
+"""A function of a batch as one kernel of a GPU: a walker a thread or a few, numbers in registers.
 
 XLA makes a kernel of each handful of operations. The solver's loops are hundreds of rounds of a
 hundred small operations each: on a GPU they would spend their time on starting kernels and on
@@ -19,8 +19,10 @@ from hitl_jax.walker.ptx import Writer
 from hitl_jax.walker.thread import Thread, array_of, elements_of
 
 _NAME = "walker"
-_BLOCK = 32
-"""Threads of a block: few, so that a thousand walkers keep a large GPU's processors busy."""
+_WARP = 32
+_BLOCKS_OF_A_CORE = 8
+"""Two for each of its schedulers. With fewer walkers than that takes, blocks are smaller: the
+threads of one wait for its slowest, and take each other's branches."""
 _LEAST_CAPABILITY = 8.0
 """The kernels' text uses what came with it."""
 _PLACEHOLDER = 9973
@@ -33,9 +35,7 @@ def on_gpu() -> bool:
     That is asked while a program is traced. What was traced for such a GPU runs on no other device:
     to have a walker on the CPU of a machine with one, trace it under `jax.default_device`.
     """
-    chosen = jax.config.jax_default_device  # type: ignore[attr-defined]
-    if chosen is None or isinstance(chosen, str):
-        chosen = jax.devices(chosen)[0]
+    chosen = _device()
     if chosen.platform not in ("gpu", "cuda"):
         return False
     try:
@@ -44,7 +44,14 @@ def on_gpu() -> bool:
         return False
 
 
-def as_kernel(function: Callable[..., Any], num_parts: int | None = None) -> Callable[..., Any]:
+def _device() -> jax.Device:
+    chosen = jax.config.jax_default_device  # type: ignore[attr-defined]
+    if chosen is None or isinstance(chosen, str):
+        chosen = jax.devices(chosen)[0]
+    return chosen
+
+
+def as_kernel(function: Callable[..., Any], parts: tuple[int, ...] = ()) -> Callable[..., Any]:
     """The function as one kernel, for the GPUs of `on_gpu`; else itself.
 
     Whether anybody needs another round is asked of each thread by itself: a loop must do nothing to
@@ -53,26 +60,28 @@ def as_kernel(function: Callable[..., Any], num_parts: int | None = None) -> Cal
     Args:
         function: of pytrees whose leaves' last axis is the batch, or 1, to such; what it does not
             get as an argument must be constant.
-        num_parts: where the axis before the batch's has this length in all leaves, and its places
-            do not feel each other, each of them gets a thread of its own.
+        parts: lengths of the axes before the batch's, in all leaves, whose places get a thread
+            each. Where there are two axes, both of 2, `jnp.flip` over one of them has the threads
+            of a walker tell each other; else they do not feel each other.
 
     Returns:
         A function of the same arguments.
     """
-    return functools.partial(call, function, num_parts) if on_gpu() else function
+    return functools.partial(call, function, parts) if on_gpu() else function
 
 
-def call(function: Callable[..., Any], num_parts: int | None, *args: Any) -> Any:
+def call(function: Callable[..., Any], parts: tuple[int, ...], *args: Any) -> Any:
     """Calls a function as a kernel; see `as_kernel`. Traced anywhere, it runs on NVIDIA's GPUs."""
     leaves, structure = jax.tree.flatten(args)
     batch = max(leaf.shape[-1] for leaf in leaves)
     leaves = [jnp.broadcast_to(leaf, (*leaf.shape[:-1], batch)) for leaf in leaves]
-    threads = batch * (num_parts or 1)
     shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
-    text, told = written(function, num_parts, jax.tree.unflatten(structure, shapes))
+    text, told = written(function, parts, jax.tree.unflatten(structure, shapes))
     told_leaves, told_structure = jax.tree.flatten(told)
-    sizes = {"grid_x": math.ceil(threads / _BLOCK), "grid_y": 1, "grid_z": 1}
-    sizes |= {"block_x": _BLOCK, "block_y": 1, "block_z": 1, "shared_mem_bytes": 0}
+    threads = batch * math.prod(parts)
+    block = block_size(threads, math.prod(parts), getattr(_device(), "core_count", 1))
+    sizes = {"grid_x": math.ceil(threads / block), "grid_y": 1, "grid_z": 1}
+    sizes |= {"block_x": block, "block_y": 1, "block_z": 1, "shared_mem_bytes": 0}
     results = jax.ffi.ffi_call("__gpu$xla.gpu.ptx", told_leaves)(
         *leaves,
         name=_NAME,
@@ -84,20 +93,33 @@ def call(function: Callable[..., Any], num_parts: int | None, *args: Any) -> Any
     return jax.tree.unflatten(told_structure, results)
 
 
-def written(function: Callable[..., Any], num_parts: int | None, args: Any) -> tuple[str, Any]:
+def block_size(threads: int, parts: int, cores: int) -> int:
+    """Threads of a block.
+
+    Args:
+        threads: of the kernel.
+        parts: threads of a walker, which stay together; a power of 2.
+        cores: the GPU's multiprocessors.
+    """
+    block = parts
+    while block < _WARP and threads > block * cores * _BLOCKS_OF_A_CORE:
+        block *= 2
+    return block
+
+
+def written(function: Callable[..., Any], parts: tuple[int, ...], args: Any) -> tuple[str, Any]:
     """The kernel's text, and the shapes of what it tells.
 
     Args:
         function: see `as_kernel`.
-        num_parts: likewise.
+        parts: likewise.
         args: a tuple of pytrees of shapes, which all end with one batch.
     """
-    lead = () if num_parts is None else (num_parts,)
-    lanes = (*lead, _PLACEHOLDER)
+    lanes = (*parts, _PLACEHOLDER)
     leaves, structure = jax.tree.flatten(args)
     batch = leaves[0].shape[-1]
-    if wrong := [leaf.shape for leaf in leaves if leaf.shape[-len(lanes) :] != (*lead, batch)]:
-        raise ValueError(f"an argument of shape {wrong[0]}: must end with {(*lead, batch)}")
+    if wrong := [leaf.shape for leaf in leaves if leaf.shape[-len(lanes) :] != (*parts, batch)]:
+        raise ValueError(f"an argument of shape {wrong[0]}: must end with {(*parts, batch)}")
     traced = [jax.ShapeDtypeStruct((*leaf.shape[:-1], _PLACEHOLDER), leaf.dtype) for leaf in leaves]
     closed, told = jax.make_jaxpr(function, return_shape=True)(
         *jax.tree.unflatten(structure, traced)
@@ -111,12 +133,11 @@ def written(function: Callable[..., Any], num_parts: int | None, args: Any) -> t
     results = jax.tree.leaves(told)
 
     writer = Writer()
-    threads = batch * math.prod(lead)
-    number = writer.begin(threads)
-    part = None if num_parts is None else writer.operate("div", number, np.int32(batch))
+    threads = batch * math.prod(parts)
+    part, place = writer.begin(batch, math.prod(parts))
     thread = Thread(writer, lanes, part)
     addresses = [
-        writer.address(index, number, leaf.dtype) for index, leaf in enumerate([*leaves, *results])
+        writer.address(index, place, leaf.dtype) for index, leaf in enumerate([*leaves, *results])
     ]
     given = []
     for address, leaf in zip(addresses, leaves, strict=False):

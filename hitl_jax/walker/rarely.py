@@ -21,7 +21,7 @@ def rarely(
     work: Callable[[Tree, Other], Tree],
     state: Tree,
     context: Other,
-    num_parts: int | None = None,
+    parts: tuple[int, ...] = (),
 ) -> Tree:
     """Does a piece of work for those of a batch that need it, some at a time.
 
@@ -32,15 +32,14 @@ def rarely(
         work: from a state and a context to the state after; their last axis is a batch of any size.
         state: last axis B.
         context: last axis B.
-        num_parts: as in `as_kernel`.
+        parts: as in `as_kernel`.
 
     Returns:
         The state, worked on where needed, last axis B.
     """
     if on_gpu():
-        if num_parts is not None:
-            needed = jnp.broadcast_to(needed, (num_parts, *needed.shape))
-        return as_kernel(functools.partial(where_needed, work), num_parts)(needed, state, context)
+        needed = jnp.broadcast_to(needed, (*parts, *needed.shape))
+        return as_kernel(functools.partial(where_needed, work), parts)(needed, state, context)
     batch = needed.shape[0]
     width = min(_WIDTH, batch)
     # Places past the end are of none: read as the last, never written.

@@ -3,6 +3,10 @@
 The jaxpr is that of a function of a batch. Each array [..., B] is taken apart: a thread has one
 number of it for each place of its leading axes, in a register. So nothing is left of slices, stacks
 and broadcasts, loops go round as often as this thread needs, and constants stand in the text.
+
+Where a walker has two by two threads, `jnp.flip` over one of their axes is an exchange: each thread
+gets the number of the other. All threads must come to it, so loops go round as often as any thread
+nearby needs, and no exchange may be in a branch.
 """
 
 import functools
@@ -32,12 +36,14 @@ class Thread:
         Args:
             writer: of the instructions.
             lanes: the last axes of arrays of which each thread has one number.
-            part: where there are two such axes, the thread's place on the first.
+            part: the thread's place on those before the last, if there are any.
         """
         self._writer = writer
         self._lanes = lanes
         self._rank = len(lanes)
         self._part = part
+        self._alone = False
+        """Whether a thread may be where its neighbours are not."""
 
     def has_lanes(self, shape: Sequence[int]) -> bool:
         """Whether arrays of this shape are taken apart into arrays of lanes."""
@@ -143,10 +149,13 @@ class Thread:
         return [np.broadcast_to(value, self.outer(shape))]
 
     def _gathered(self, value: np.ndarray) -> np.ndarray:
-        """Numbers that differ along the axis of the parts, if at all, as a thread has them."""
+        """Numbers that differ along the axes of the parts, if at all, as a thread has them."""
         inner, outer = value.shape[-self._rank :], value.shape[: -self._rank]
-        if inner not in ((1,) * self._rank, (*self._lanes[:-1], 1)):
+        every = (*self._lanes[:-1], 1)
+        if any(has not in (1, most) for has, most in zip(inner, every, strict=True)):
             raise NotImplementedError(f"an array of {inner} in a kernel over {self._lanes}")
+        if math.prod(inner) > 1:
+            inner, value = every, np.broadcast_to(value, (*outer, *every))
         chosen = []
         for of_parts in value.reshape(-1, math.prod(inner)):
             element, *others = elements_of(of_parts)
@@ -176,7 +185,23 @@ class Thread:
         return [given[0][tuple(slice(*cut) for cut in cuts)]]
 
     def _rev(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
-        return [np.flip(given[0], eqn.params["dimensions"])]
+        (value,) = given
+        axes = eqn.params["dimensions"]
+        rank = value.ndim
+        if outer := tuple(axis for axis in axes if axis < rank):
+            value = np.flip(value, outer)
+        for axis in axes:
+            if axis >= rank:
+                value = self._exchanged(value, axis - rank)
+        return [value]
+
+    def _exchanged(self, value: np.ndarray, axis: int) -> np.ndarray:
+        """The numbers of the other thread along an axis of the lanes."""
+        if self._lanes[axis] != 2 or self._rank != 3 or self._alone:
+            raise NotImplementedError(f"axis {axis} of {self._lanes} flipped, or in a branch")
+        distance = math.prod(self._lanes[axis + 1 : -1])
+        others = [self._writer.exchanged(element, distance) for element in elements_of(value)]
+        return array_of(others, value.shape)
 
     def _concatenate(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         return [np.concatenate(given, eqn.params["dimension"])]
@@ -252,8 +277,11 @@ class Thread:
         test_consts, body_consts = given[:of_test], given[of_test : of_test + of_body]
         carry = self._copied(given[of_test + of_body :])
         with self._writer.loop() as end:
-            (goes,) = self.run_closed(eqn.params["cond_jaxpr"], [*test_consts, *carry])
-            self._writer.branch(end, unless=elements_of(goes)[0])
+            (test,) = self.run_closed(eqn.params["cond_jaxpr"], [*test_consts, *carry])
+            (goes,) = elements_of(test)
+            if self._rank == 3 and not self._alone:
+                goes = self._writer.any_of(goes)
+            self._writer.branch(end, unless=goes)
             after = self.run_closed(eqn.params["body_jaxpr"], [*body_consts, *carry])
             self._writer.move_all(_flat(carry), _flat(after))
         return carry
@@ -309,11 +337,13 @@ class Thread:
         other, end = self._writer.label(), self._writer.label()
         condition = self._writer.convert(elements_of(which)[0], "pred")
         self._writer.branch(other, unless=condition)
+        before, self._alone = self._alone, True
         results = self._copied(self.run_closed(yes, operands))
         self._writer.branch(end)
         self._writer.write(f"{other}:")
         self._writer.move_all(_flat(results), _flat(self.run_closed(no, operands)))
         self._writer.write(f"{end}:")
+        self._alone = before
         return results
 
     def _copied(self, values: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -336,15 +366,15 @@ def _sign(number: jax.Array) -> jax.Array:
 
 def sine(angle: jax.Array) -> jax.Array:
     """The sine to float32's precision, for angles of some thousand radians at most."""
-    return _quarter_wave(angle, 0.0)
+    return _quarter_wave(angle, 0)
 
 
 def cosine(angle: jax.Array) -> jax.Array:
     """The cosine; see `sine`."""
-    return _quarter_wave(angle, 1.0)
+    return _quarter_wave(angle, 1)
 
 
-def _quarter_wave(angle: jax.Array, ahead: float) -> jax.Array:
+def _quarter_wave(angle: jax.Array, ahead: int) -> jax.Array:
     """The sine of an angle and so many quarters of a turn.
 
     What is left of the angle beyond whole quarters, found with a quarter in three pieces of few
@@ -363,11 +393,9 @@ def _quarter_wave(angle: jax.Array, ahead: float) -> jax.Array:
     even = np.float32(2.443315711809948e-5) * square + np.float32(-1.388731625493765e-3)
     even = even * square + np.float32(4.166664568298827e-2)
     even = even * square * square - np.float32(0.5) * square + np.float32(1.0)
-    quarters = quarters + np.float32(ahead)
-    halves = jnp.floor(quarters * np.float32(0.5))
-    is_even = quarters - 2 * halves > 0
-    wave = jnp.where(is_even, even, odd)
-    return jnp.where(halves - 2 * jnp.floor(halves * np.float32(0.5)) > 0, -wave, wave)
+    place = quarters.astype(jnp.int32) + ahead
+    wave = jnp.where(place & 1 > 0, even, odd)
+    return jnp.where(place & 2 > 0, -wave, wave)
 
 
 def array_of(elements: Sequence[Any], shape: Sequence[int]) -> np.ndarray:

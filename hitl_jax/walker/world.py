@@ -6,14 +6,15 @@ operation runs along it.
 """
 
 import dataclasses
-import functools
+from collections.abc import Sequence
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from hitl_jax.walker import grips, ground, hinges, impact, parts, touch
+from hitl_jax.walker import by_parts, grips, ground, hinges, impact, parts, touch
 from hitl_jax.walker.hinges import Impulses
-from hitl_jax.walker.kernel import as_kernel, on_gpu
+from hitl_jax.walker.kernel import on_gpu
 from hitl_jax.walker.plane import Pose, Speeds, Vec, dot, pose, tangent, where
 from hitl_jax.walker.rarely import rarely
 from hitl_jax.walker.sweep import NEAR, Sweep, may_meet
@@ -24,6 +25,8 @@ _ROUNDS_FOR_ALL = 2
 """Position rounds that all walkers make together; most need no more."""
 _FEW = 2
 """Edges on which most shins stand at once, at most."""
+Tree = TypeVar("Tree")
+
 _SHINS, _LEGS = (2, 4), (1, 2, 3, 4)
 _SOUND = -3 * parts.LINEAR_SLOP
 _FIRMNESS = 0.2
@@ -80,11 +83,9 @@ def step(world: World, speed: jax.Array, torque: jax.Array, terrain: Terrain) ->
 
     hinge = hinges.prepare(bodies, world.angle, speed, torque)
     grip = grips.prepare(manifold, legs)
-    velocity, spin, impulses, pressed = _velocities(world, hinge, grip, contacts)
+    speeds, impulses, pressed = _velocities(world, hinge, grip, contacts)
     contacts = dataclasses.replace(contacts, normal=pressed[0], along=pressed[1])
-    speeds, place, angle = impact.glide(
-        Speeds(velocity, spin), world.place, world.angle, parts.SECONDS
-    )
+    speeds, place, angle = impact.glide(speeds, world.place, world.angle, parts.SECONDS)
     place, angle = _settle(place, angle, hinge.side, manifold)
 
     moved = impact.Moved(
@@ -97,7 +98,7 @@ def step(world: World, speed: jax.Array, torque: jax.Array, terrain: Terrain) ->
     ended = pose(place, angle)
     near = ground.near_parts(terrain, legs_left(legs_of(ended)))
     meets = may_meet(legs_of(ended), near)
-    moved = rarely(meets, impact.land, moved, near, num_parts=len(_LEGS))
+    moved = rarely(meets, impact.land, moved, near, parts=(len(_LEGS),))
     fallen |= _hull_meets(ended, terrain, NEAR)
     return World(
         place=_after_head(place, moved.sweep.end_place),
@@ -165,7 +166,7 @@ class _Motion:
 
 def _velocities(
     world: World, hinge: hinges.Hinges, grip: grips.Grips, contacts: Contacts
-) -> tuple[Vec, jax.Array, Impulses, tuple[grips.Pair, grips.Pair]]:
+) -> tuple[Speeds, Impulses, tuple[grips.Pair, grips.Pair]]:
     """Velocities after gravity and all rounds, and the impulses of hinges and contacts.
 
     Most walkers touch the ground with their shins alone, each on two edges at most: for the
@@ -178,23 +179,20 @@ def _velocities(
     rows = _rows(_after_head(velocity, legs.velocity), jnp.concatenate([world.spin[:1], legs.spin]))
     begun = hinges.begin(hinge, world.impulses)
     rows = hinges.warm(rows, hinge, begun)
+    if on_gpu():
+        return by_parts.velocities(_stacked(rows), begun, (normal, along), hinge, grip)
     impulses = [jax.tree.map(lambda leaf, i=i: leaf[i], begun) for i in range(len(parts.HINGES))]
     start = _Motion(rows, impulses, normal, along)
 
     touching = contacts.touching
     many = touching[_FEW:].any((0, 1)) | touching[:, ::2].any((0, 1))
-    if on_gpu():
-        motion = as_kernel(_either_rounds)(many, start, hinge, grip)
-    else:
-        motion, _ = rarely(
-            many,
-            lambda state, context: (_rounds(state[1], *context, _LEGS), state[1]),
-            (_few_rounds(start, hinge, grip), start),
-            (hinge, grip),
-        )
-    row = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motion.rows)
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motion.hinge)
-    return row.velocity, row.spin, stacked, (motion.normal, motion.along)
+    motion, _ = rarely(
+        many,
+        lambda state, context: (_rounds(state[1], *context, _LEGS), state[1]),
+        (_few_rounds(start, hinge, grip), start),
+        (hinge, grip),
+    )
+    return _stacked(motion.rows), _stacked(motion.hinge), (motion.normal, motion.along)
 
 
 def _few_rounds(start: _Motion, hinge: hinges.Hinges, grip: grips.Grips) -> _Motion:
@@ -216,18 +214,6 @@ def _few_rounds(start: _Motion, hinge: hinges.Hinges, grip: grips.Grips) -> _Mot
     )
 
 
-def _either_rounds(
-    many: jax.Array, start: _Motion, hinge: hinges.Hinges, grip: grips.Grips
-) -> _Motion:
-    """All velocity rounds; in a kernel, where `many` is asked of each walker by itself."""
-    result: _Motion = jax.lax.cond(
-        many.any(),
-        lambda: _rounds(start, hinge, grip, _LEGS),
-        lambda: _few_rounds(start, hinge, grip),
-    )
-    return result
-
-
 def _rounds(
     start: _Motion, hinge: hinges.Hinges, grip: grips.Grips, bodies: tuple[int, ...]
 ) -> _Motion:
@@ -235,7 +221,7 @@ def _rounds(
 
     def round_(_: int, motion: _Motion) -> _Motion:
         rows, impulses = hinges.velocity_round(motion.rows, hinge, motion.hinge)
-        legs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(rows[body] for body in bodies))
+        legs = _stacked([rows[body] for body in bodies])
         speeds, normal, along = grips.velocity_round(
             Speeds(legs.velocity, legs.spin), grip, motion.normal, motion.along
         )
@@ -250,24 +236,27 @@ def _rows(velocity: Vec, spin: jax.Array) -> list[Speeds]:
     return [Speeds(Vec(velocity.x[i], velocity.y[i]), spin[i]) for i in range(spin.shape[0])]
 
 
+def _stacked(trees: Sequence[Tree]) -> Tree:
+    result: Tree = jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
+    return result
+
+
 def _settle(
     place: Vec, angle: jax.Array, side: jax.Array, manifold: touch.Manifold
 ) -> tuple[Vec, jax.Array]:
     """Places and angles after the position rounds, of which most walkers need one or two."""
-    carry, context = (place, angle, jnp.ones(angle.shape[1:], bool)), (side, manifold)
     if on_gpu():
-        place, angle, _ = as_kernel(functools.partial(_position_rounds, 0))(carry, context)
-        return place, angle
+        return by_parts.settled(place, angle, side, manifold, _FIRMNESS, _SOUND)
+    carry, context = (place, angle, jnp.ones(angle.shape[1:], bool)), (side, manifold)
     carry = jax.lax.fori_loop(
         0, _ROUNDS_FOR_ALL, lambda _, carry: _position_round(carry, *context), carry
     )
-    later = functools.partial(_position_rounds, _ROUNDS_FOR_ALL)
-    place, angle, _ = rarely(carry[2], later, carry, context)
+    place, angle, _ = rarely(carry[2], _later_position_rounds, carry, context)
     return place, angle
 
 
-def _position_rounds(made: int, carry: tuple, context: tuple) -> tuple:
-    """As many rounds, after those that were made, as are needed and allowed."""
+def _later_position_rounds(carry: tuple, context: tuple) -> tuple:
+    """As many rounds, after those for all, as are needed and allowed."""
 
     def goes(counted: tuple) -> jax.Array:
         return counted[1][2].any() & (counted[0] < parts.POSITION_ROUNDS)
@@ -275,18 +264,19 @@ def _position_rounds(made: int, carry: tuple, context: tuple) -> tuple:
     def one(counted: tuple) -> tuple:
         return counted[0] + 1, _position_round(counted[1], *context)
 
-    result: tuple = jax.lax.while_loop(goes, one, (made, carry))[1]
+    result: tuple = jax.lax.while_loop(goes, one, (_ROUNDS_FOR_ALL, carry))[1]
     return result
 
 
 def _position_round(carry: tuple, side: jax.Array, manifold: touch.Manifold) -> tuple:
     """Places, angles, and who needs another round; from those before it."""
     place, angle, active = carry
-    legs, turns, least = grips.position_round(place[1:], angle[1:], manifold, _FIRMNESS)
+    legs, turns, least = grips.position_round(
+        place[1:], angle[1:], manifold, grips.WEIGHT, _FIRMNESS
+    )
     places = [Vec(place.x[0], place.y[0])]
     places += [Vec(legs.x[i], legs.y[i]) for i in range(4)]
     places, all_turns, good = hinges.position_round(places, [angle[0], *turns], side)
-    new_place = jax.tree.map(lambda *leaves: jnp.stack(leaves), *places)
-    place = where(active, new_place, place)
+    place = where(active, _stacked(places), place)
     angle = jnp.where(active, jnp.stack(all_turns), angle)
     return place, angle, active & ~(good & (least >= _SOUND).all(0))
