@@ -1,7 +1,7 @@
 """A chunk of ticks as one program on the device: acting, walkers and all between them."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import chex
 import jax
@@ -17,14 +17,32 @@ Act = Callable[[Any, chex.Array, chex.Array], tuple[Any, chex.Array]]
 what was decided, [B, W + 6]."""
 
 
+class Moment(NamedTuple):
+    """What B walkers begin a chunk with, or end it with: fields of `Slots`.
+
+    Attributes:
+        active: whether a run plays there, bool [B].
+        needs_reset: whether its next tick is a reset, bool [B].
+        left: episodes that its run has yet to end, int32 [B].
+        observation: what was seen last, [B, O].
+    """
+
+    active: chex.Array
+    needs_reset: chex.Array
+    left: chex.Array
+    observation: chex.Array
+
+
 def play(
     act: Act,
     layout: Layout,
     count: int,
     state: chex.ArrayTree,
     walkers: chex.ArrayTree,
-    known: Sequence[chex.Array],
-) -> tuple[chex.ArrayTree, chex.ArrayTree, tuple[chex.Array, ...]]:
+    begin: Moment,
+    seeds: chex.Array,
+    first_left: chex.Array,
+) -> tuple[chex.ArrayTree, chex.ArrayTree, Moment, tuple[chex.Array, ...]]:
     """Ticks of B walkers; `walkers` may be more, which stay idle.
 
     Ends episodes, begins the next ones and stops what is done or not finite, by the same rules as
@@ -36,25 +54,26 @@ def play(
         count: ticks, static.
         state: acting states.
         walkers: leaves [L, ...], L ≥ B.
-        known: the fields of `Slots`, leaves [B, ...].
+        begin: what it begins with.
+        seeds: of resets to come, uint32 [B, K].
+        first_left: episodes that a run has yet to end when the first of these is due, int32 [B].
 
     Returns:
-        States and walkers after it, and of each tick what was decided [U, B, W + 6], who took a
-        step [U, B], and the fields of `StepBatch`.
+        States and walkers after it, what it ends with, and of each tick what was decided
+        [U, B, W + 6], who took a step [U, B], and the fields of `StepBatch`.
     """
-    active, needs_reset, seeds, left, observation = known
-    begun = jnp.zeros_like(left)
     checked_columns = [getattr(layout, name) for name in decisions.CHECKED_COLUMNS]
 
     def one(carry: Any, _: None) -> tuple[Any, tuple[chex.Array, ...]]:
-        state, walkers, active, needs_reset, left, begun, observation = carry
+        state, walkers, (active, needs_reset, left, observation) = carry
         live = active & ~needs_reset
         state, decided = act(state, observation, live)
         checked = jnp.column_stack([decided[:, columns] for columns in checked_columns])
         sound = jnp.isfinite(checked).all(axis=1) | ~live
         active, live = active & sound, live & sound
         begins = active & needs_reset
-        seed = jnp.take_along_axis(seeds, begun[:, None], axis=1, mode="clip")[:, 0]
+        due = (first_left - left)[:, None]
+        seed = jnp.take_along_axis(seeds, due, axis=1, mode="clip")[:, 0]
         command = jnp.where(live, Command.STEP, jnp.where(begins, Command.RESET, Command.IDLE))
         action = decided[:, layout.action]
         walkers, step = tick(walkers, *_padded((command, action, seed), walkers))
@@ -67,12 +86,10 @@ def play(
         ended = live & (terminated | truncated | human_reset)
         left = left - ended
         told = decided, live, observation, reward, terminated, truncated
-        carry = state, walkers, active & (left > 0), ended, left, begun + ended, observation
-        return carry, told
+        return (state, walkers, Moment(active & (left > 0), ended, left, observation)), told
 
-    carry: Any = state, walkers, active, needs_reset, left, begun, observation
-    (state, walkers, *_), told = jax.lax.scan(one, carry, None, length=count)
-    return state, walkers, told
+    carry, told = jax.lax.scan(one, (state, walkers, begin), None, length=count)
+    return *carry, told
 
 
 def _padded(rows: Sequence[chex.Array], walkers: chex.ArrayTree) -> list[chex.Array]:

@@ -1,6 +1,5 @@
 """Test episodes of many runs at once, by one program on the device."""
 
-import dataclasses
 import functools
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +14,8 @@ from hitl_jax import decisions, device_chunk
 from hitl_jax.acting import ActingState
 from hitl_jax.agent import Agent
 from hitl_jax.config import RunHyper, typed
+from hitl_jax.device_chunk import Moment
+from hitl_jax.device_stage import begins_with
 from hitl_jax.devices import walker_devices
 from hitl_jax.envs import StepBatch
 from hitl_jax.envs.jax_pool import JaxPool
@@ -203,11 +204,11 @@ class _Room:
         assert self._seats is not None
         walkers = self._pool.walkers
         device = self._pool.blocks[self._index].device
-        states, walkers[self._index], self._told = play(
+        states, walkers[self._index], _, self._told = play(
             self._seats.policies,
             self._seats.states,
             walkers[self._index],
-            jax.device_put(dataclasses.astuple(self._slots), device),
+            *jax.device_put(begins_with(self._slots), device),
         )
         self._seats = self._seats._replace(states=states)
 
@@ -263,8 +264,10 @@ def _play(
     policies: _Policy,
     states: ActingState,
     walkers: chex.ArrayTree,
-    known: tuple[chex.Array, ...],
-) -> tuple[ActingState, chex.ArrayTree, tuple[chex.Array, ...]]:
+    begin: Moment,
+    seeds: chex.Array,
+    first_left: chex.Array,
+) -> tuple[ActingState, chex.ArrayTree, Moment, tuple[chex.Array, ...]]:
     """A chunk of ticks of L walkers at T tables; see `device_chunk.play`."""
     step = functools.partial(decisions.act_or_begin, agent)
     table = jax.vmap(step, in_axes=(None, None, 0, 0, 0))
@@ -282,4 +285,4 @@ def _play(
         states = jax.tree.map(unless_idle, after, states)
         return states, decided.reshape(len(live), -1)
 
-    return device_chunk.play(act, agent.layout, count, states, walkers, known)
+    return device_chunk.play(act, agent.layout, count, states, walkers, begin, seeds, first_left)

@@ -13,6 +13,7 @@ from hitl_jax import batch, device_chunk
 from hitl_jax.agent import Agent
 from hitl_jax.batch import Programs
 from hitl_jax.config import RunHyper
+from hitl_jax.device_chunk import Moment
 from hitl_jax.envs import StepBatch
 from hitl_jax.envs.jax_pool import Block, JaxPool
 from hitl_jax.stages import Slots, Tick
@@ -36,8 +37,11 @@ class DeviceStage:
 
     The pool itself is not told what its walkers do here: it may but RESET them, and go on from
     there. The program ends episodes, begins the next ones and stops runs that are done or not
-    finite, by the same rules as the host loop, which books the chunk afterwards.
+    finite, by the same rules as the host loop, which books the chunk afterwards, while the next one
+    is played already.
     """
+
+    runs_ahead = True
 
     def __init__(self, agent: Agent, pool: JaxPool, programs: Programs):
         """Places acting beside the walkers; without runs yet."""
@@ -48,6 +52,9 @@ class DeviceStage:
             for block in pool.blocks
         ]
         self._behavior: list[Behavior] = []
+        self._moments: list[Moment] = []
+        self._unbooked = 0
+        self._boundaries: np.ndarray | None = None
         self._play = jax.jit(
             functools.partial(_play, agent), static_argnums=0, donate_argnums=(1, 3)
         )
@@ -59,29 +66,42 @@ class DeviceStage:
             self._programs.unpack_behavior([_rows_of(packed, block)]) for block in self._pool.blocks
         ]
 
-    def ticks(self, slots: Slots, count: int) -> Iterator[Tick]:
+    def ticks(self, slots: Slots, finite: np.ndarray, count: int, ahead: bool) -> Iterator[Tick]:
         """See `Stage`."""
-        parts = []
+        if ahead != bool(self._unbooked):
+            raise RuntimeError(f"ahead={ahead} with {self._unbooked} chunks that are not booked")
+        given = *begins_with(slots), finite
+        parts, moments = [], []
         for index, block in enumerate(self._pool.blocks):
-            known = jax.tree.map(
-                lambda leaf, block=block: leaf[block.start : block.stop], dataclasses.astuple(slots)
-            )
+            rows = jax.tree.map(lambda leaf, block=block: leaf[block.start : block.stop], given)
+            begin, *others = jax.device_put(rows, block.device)
             acting, walkers = self._acting[index], self._pool.walkers[index]
-            state, self._pool.walkers[index], ticks = self._play(
+            state, self._pool.walkers[index], moment, ticks = self._play(
                 count,
                 acting.state,
                 acting.hyper,
                 walkers,
                 self._behavior[index],
-                jax.device_put(known, block.device),
+                self._moments[index] if ahead else begin,
+                *others,
             )
             self._acting[index] = acting._replace(state=state)
-            parts.append(ticks)
-        told = [
-            np.concatenate(leaves, axis=1) for leaves in zip(*jax.device_get(parts), strict=True)
-        ]
+            parts.append((*ticks, self._programs.boundaries(self._acting[index])[None]))
+            moments.append(moment)
+        self._moments = moments
+        self._unbooked += 1
+        return self._told(parts)
+
+    def _told(self, parts: list[tuple[chex.Array, ...]]) -> Iterator[Tick]:
+        """Waits for a chunk's ticks, and gives them."""
+        several = zip(*jax.device_get(parts), strict=True)
+        *told, (boundaries,) = (
+            leaves[0] if len(leaves) == 1 else np.concatenate(leaves, axis=1) for leaves in several
+        )
         for decided, live, *played in zip(*told, strict=True):
             yield _DeviceTick(decided, StepBatch(*played), live)
+        self._boundaries = boundaries
+        self._unbooked -= 1
 
     def seat(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
         """See `Stage`."""
@@ -100,6 +120,9 @@ class DeviceStage:
 
     def boundaries(self) -> np.ndarray:
         """See `Stage`."""
+        if self._unbooked:
+            assert self._boundaries is not None
+            return self._boundaries
         return np.concatenate([np.asarray(self._programs.boundaries(a)) for a in self._acting])
 
     def _place(self, slot: int) -> tuple[int, int]:
@@ -108,6 +131,13 @@ class DeviceStage:
             if slot < block.stop:
                 return index, slot - block.start
         raise IndexError(slot)
+
+
+def begins_with(slots: Slots) -> tuple[Moment, np.ndarray, np.ndarray]:
+    """What a chunk is given that begins where the host has booked: copies."""
+    own = jax.tree.map(np.copy, dataclasses.asdict(slots))
+    begin = Moment(*(own[name] for name in Moment._fields))
+    return begin, own["seeds"], own["left"]
 
 
 def _rows_of(packed: Sequence[jax.Array], block: Block) -> jax.Array:
@@ -129,8 +159,11 @@ def _play(
     hyper: chex.Array,
     walkers: chex.ArrayTree,
     behavior: Behavior,
-    known: tuple[chex.Array, ...],
-) -> tuple[chex.ArrayTree, chex.ArrayTree, tuple[chex.Array, ...]]:
+    begin: Moment,
+    seeds: chex.Array,
+    first_left: chex.Array,
+    finite: chex.Array,
+) -> tuple[chex.ArrayTree, chex.ArrayTree, Moment, tuple[chex.Array, ...]]:
     """A chunk of ticks of B runs; see `device_chunk.play`.
 
     Args:
@@ -140,7 +173,10 @@ def _play(
         hyper: hyperparameters as words, [B, H].
         walkers: leaves [L, ...], L ≥ B.
         behavior: what acting needs of the parameters, leaves [B, ...].
-        known: the fields of `Slots`, leaves [B, ...].
+        begin: what it begins with.
+        seeds: of resets to come, uint32 [B, K].
+        first_left: episodes left when the first of these is due, int32 [B].
+        finite: whether a run's parameters are, bool [B].
     """
     runs = jax.vmap(functools.partial(batch.act_packed, agent))
 
@@ -150,4 +186,5 @@ def _play(
         after, decided = runs(state, hyper, behavior, observation, live)
         return after, decided
 
-    return device_chunk.play(act, agent.layout, count, state, walkers, known)
+    begin = begin._replace(active=begin.active & finite)
+    return device_chunk.play(act, agent.layout, count, state, walkers, begin, seeds, first_left)

@@ -1,6 +1,7 @@
 """The host loop: walkers on one side, the learner on the other, both busy.
 
-(Not where both are on one GPU: there they take turns.)
+(Not where both are on one GPU: there they take turns, and the host books a chunk while the next is
+played.)
 
 Time is cut into ticks (one step of every walker) and chunks of U ticks. While the walkers play
 chunk i+1, the device learns from chunk i, or still from chunk i−1: up to `learner_side.LAG` calls
@@ -14,6 +15,7 @@ at once, and takes no more time. Nothing a run computes depends on its slot or o
 
 from collections import deque
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,7 +41,7 @@ from hitl_jax.runs import (
     method_index,
 )
 from hitl_jax.saved import SavedRun, between_episodes, bring_back, facts_of, require_shapes
-from hitl_jax.stages import Slots, make_stage
+from hitl_jax.stages import Slots, Tick, make_stage
 from hitl_jax.steps import (
     complete,
     episode_of,
@@ -48,6 +50,18 @@ from hitl_jax.steps import (
     recorded_steps,
     step_width,
 )
+
+
+class _Chunk(NamedTuple):
+    """Ticks that are played, or will be as they are asked for.
+
+    Attributes:
+        finite: whether the parameters are that act in it, bool [R].
+        ticks: one after the other.
+    """
+
+    finite: np.ndarray
+    ticks: Iterator[Tick]
 
 
 class Rollout:
@@ -99,12 +113,13 @@ class Rollout:
         self._slots = Slots(
             active=np.zeros(slots, bool),
             needs_reset=np.zeros(slots, bool),
-            # No chunk can begin more episodes: one of a step and a reset takes two ticks.
-            seeds=np.zeros((slots, config.chunk // 2 + 1), np.uint32),
+            # No two chunks can begin more episodes: one of a step and a reset takes two ticks.
+            seeds=np.zeros((slots, config.chunk + 1), np.uint32),
             left=np.zeros(slots, np.int32),
             observation=np.zeros((slots, pool.observation_size), np.float32),
         )
         self._feedback = np.zeros(slots)
+        self._ahead: _Chunk | None = None
         self._seat_all(self._learner.order())
 
     def __iter__(self) -> Iterator[list[FinishedRun]]:
@@ -114,21 +129,10 @@ class Rollout:
         held.
         """
         while under_way := self._not_held(self.runs()):
-            if ended := [run for run in under_way if run.done]:
-                yield [self.collect(run) for run in ended]
-                self._replace(self._not_held(ended))
-                continue
-            packed, finite = self._learner.parameters()
-            self._stop_diverged("parameters", finite)
-            self._stage.prepare(packed)
-            frames = self._play()
-            for run in self.runs():
-                self._keep_snapshots(run)
-            ended = [run for run in self._not_held(self.runs()) if run.done]
-            results = [self.collect(run) for run in ended]
-            self._learn(frames)
-            yield results
-            self._replace(self._not_held(ended))
+            ended = [self.collect(run) for run in under_way if run.done]
+            ended = ended or self._next_chunk()
+            yield ended
+            self._replace(self._not_held([finished.run for finished in ended]))
 
     def runs(self) -> list[Run]:
         """The runs under way, and those that have just been given as finished."""
@@ -157,6 +161,7 @@ class Rollout:
         Between two chunks; waits for the learner; only with `saved` given at the start. The frames
         are those since the runs were saved before.
         """
+        self._catch_up()
         train, learned = self._learner.save()
         acting = self._stage.words()
         recent = np.concatenate(self._recent, axis=1)
@@ -184,6 +189,37 @@ class Rollout:
         """Returns when the learner has nothing left to do."""
         self._learner.wait()
 
+    def _next_chunk(self) -> list[FinishedRun]:
+        """Plays a chunk, and gives the runs that ended in it."""
+        chunk, self._ahead = self._ahead or self._begin_chunk(ahead=False), None
+        if self._stage.runs_ahead:
+            self._ahead = self._begin_chunk(ahead=True)
+        return self._book(chunk)
+
+    def _catch_up(self) -> None:
+        """Books the chunk that was begun ahead, if there is one.
+
+        Runs that end in it are found when the next chunk would be played.
+        """
+        if self._ahead is not None:
+            chunk, self._ahead = self._ahead, None
+            self._book(chunk)
+
+    def _begin_chunk(self, ahead: bool) -> _Chunk:
+        packed, finite = self._learner.parameters()
+        self._stage.prepare(packed)
+        return _Chunk(finite, self._stage.ticks(self._slots, finite, self._config.chunk, ahead))
+
+    def _book(self, chunk: _Chunk) -> list[FinishedRun]:
+        """Notes what the walkers did, and has the learner learn from it."""
+        self._stop_diverged("parameters", chunk.finite)
+        frames = self._frames_of(chunk.ticks)
+        for run in self.runs():
+            self._keep_snapshots(run)
+        ended = [self.collect(run) for run in self._not_held(self.runs()) if run.done]
+        self._learn(frames)
+        return ended
+
     def _not_held(self, runs: Sequence[Run]) -> list[Run]:
         if not self._held:
             return list(runs)
@@ -192,6 +228,8 @@ class Rollout:
     def _replace(self, ended: Sequence[Run]) -> None:
         """Gives the slots of runs that have ended, and still have them, to others."""
         slots = [run.slot for run in ended if self._runs[run.slot] is run]
+        if slots and self._queue:
+            self._catch_up()
         for slot in slots:
             self._runs[slot] = None
         self._seat_all(slots)
@@ -282,12 +320,12 @@ class Rollout:
     def _boundary_of(self, run: Run) -> np.ndarray:
         return self._stage.boundaries()[run.slot]
 
-    def _play(self) -> np.ndarray:
-        """One chunk of ticks; the frames for the replay, [R, U, W]."""
+    def _frames_of(self, ticks: Iterator[Tick]) -> np.ndarray:
+        """Notes a chunk of ticks; gives the frames for the replay, [R, U, W]."""
         layout, slots = self._layout, self._slots
         shape = len(self._runs), self._config.chunk, step_width(layout)
         steps = np.zeros(shape, np.float32)
-        for place, tick in enumerate(self._stage.ticks(slots, self._config.chunk)):
+        for place, tick in enumerate(ticks):
             live, step = slots.live, steps[:, place]
             step[:] = tick.decided
             if not np.isfinite(step).all():

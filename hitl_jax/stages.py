@@ -59,7 +59,13 @@ class Tick(Protocol):
 
 
 class Stage(Protocol):
-    """Plays ticks with what acting needs of all runs' parameters."""
+    """Plays ticks with what acting needs of all runs' parameters.
+
+    Attributes:
+        runs_ahead: whether it can play a chunk while the host books the one before.
+    """
+
+    runs_ahead: bool
 
     def prepare(self, packed: list[jax.Array]) -> None:
         """Takes parameters for the next chunk.
@@ -69,17 +75,22 @@ class Stage(Protocol):
         """
         ...
 
-    def ticks(self, slots: Slots, count: int) -> Iterator[Tick]:
+    def ticks(self, slots: Slots, finite: np.ndarray, count: int, ahead: bool) -> Iterator[Tick]:
         """Plays ticks; the host books one before it asks for the next.
+
+        Where the stage `runs_ahead` it begins at once, else as the host asks.
 
         Args:
             slots: as they are before each tick; the host changes them as it books.
+            finite: whether a run's parameters are, bool [R]; others end here, and the host ends
+                them before it books.
             count: how many.
+            ahead: whether the ticks given before are not booked yet.
         """
         ...
 
     def seat(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
-        """Begins a run.
+        """Begins a run; as `words` and `restore`, not ahead of what is booked.
 
         Args:
             slot: where.
@@ -97,7 +108,7 @@ class Stage(Protocol):
         ...
 
     def boundaries(self) -> np.ndarray:
-        """The carry of each run's boundary source, [R] or [R, K]."""
+        """The carry of each run's boundary source after what is booked, [R] or [R, K]."""
         ...
 
 
@@ -133,6 +144,8 @@ class _HostTick:
 class HostStage:
     """Acting is one program a tick on a device of its own; walkers are any pool's."""
 
+    runs_ahead = False
+
     def __init__(self, agent: Agent, pool: WalkerPool, programs: Programs):
         """Places acting on its device; without runs yet."""
         self._pool = pool
@@ -147,8 +160,9 @@ class HostStage:
         rows = [np.asarray(part) for part in packed]
         self._behavior = self._programs.unpack_behavior(rows, self._acting.hyper)
 
-    def ticks(self, slots: Slots, count: int) -> Iterator[Tick]:
+    def ticks(self, slots: Slots, finite: np.ndarray, count: int, ahead: bool) -> Iterator[Tick]:
         """See `Stage`."""
+        del finite, ahead  # What the host has ended is not live.
         for _ in range(count):
             self._acting, packed = self._programs.act(
                 self._acting, self._behavior, slots.observation, slots.live

@@ -47,6 +47,8 @@ def _assert_same(one, other):
     jax.tree.map(np.testing.assert_array_equal, one.train, other.train)
     for a, b in zip(one.run.snapshots, other.run.snapshots, strict=True):
         jax.tree.map(np.testing.assert_array_equal, a.behavior, b.behavior)
+        np.testing.assert_array_equal(a.boundary, b.boundary)
+    np.testing.assert_array_equal(one.boundary, other.boundary)
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +81,43 @@ def test_a_run_that_is_saved_goes_on_as_if_nothing_had_been(together):
     rest, _ = _play(_specs(), 4, saved=saved)
     for key, run in together.items():
         _assert_same(run, rest[key])
+
+
+def test_saving_changes_nothing(together):
+    """The chunk that was begun ahead is booked early then, and a slot given on in between."""
+    with device_toy.toys():
+        playing = Rollout(make_agent(_CONFIG), _specs(), jax_pool.JaxPool(4, 2), _LOOP, saved={})
+        finished = {}
+        for number, done in enumerate(playing):
+            finished |= {run.run.spec.key: run for run in done}
+            if number % 3 == 0:
+                playing.save()
+    for key, run in together.items():
+        _assert_same(run, finished[key])
+
+
+def test_parameters_that_are_no_numbers_end_a_run_where_the_host_ends_it(together, monkeypatch):
+    specs = _specs()
+    sick = specs[2].hyper.replace(actor_learning_rate=1e30, critic_learning_rate=1e30)
+    specs[2] = dataclasses.replace(specs[2], hyper=sick)
+    on_device, _ = _play(specs, 4)
+    monkeypatch.setattr(rollout, "make_stage", stages.HostStage)
+    by_host, _ = _play(specs, 4)
+    assert on_device[specs[2].key].run.diverged.quantity == "parameters"
+    for key, run in on_device.items():
+        assert run.run.diverged == by_host[key].run.diverged
+        assert repr(run.run.episodes) == repr(by_host[key].run.episodes)
+        if not run.run.diverged:
+            _assert_same(run, together[key])
+
+
+def test_what_is_begun_ahead_is_told_so():
+    with device_toy.toys():
+        playing = Rollout(make_agent(_CONFIG), _specs(), jax_pool.JaxPool(4, 2), _LOOP)
+        next(iter(playing))
+        finite = np.ones(4, bool)
+        with pytest.raises(RuntimeError, match="ahead=False with 1 chunks"):
+            playing._stage.ticks(playing._slots, finite, 8, ahead=False)
 
 
 def test_a_reward_that_is_no_number_ends_its_run_alone(monkeypatch):
