@@ -121,6 +121,14 @@ def test_velocity_rounds_with_contacts_of_all_parts(now):
     _is_as_on_a_cpu(world._velocities, (before, hinge, grip, contacts))
 
 
+def test_where_parts_touch(now):
+    before, near, _, contacts, _, _ = now
+    bodies = pose(before.place, before.angle)
+    args = (world.legs_of(bodies), near, before.contacts, before.feet)
+    assert contacts.touching.any()
+    _agree(world._touched, args, parts=(4,))
+
+
 def test_position_rounds(now):
     before, _, manifold, _, hinge, _ = now
     _is_as_on_a_cpu(world._settle, (before.place, before.angle, hinge.side, manifold))

@@ -13,8 +13,9 @@ import jax
 import jax.numpy as jnp
 
 from hitl_jax.walker import by_parts, grips, ground, hinges, impact, parts, touch
+from hitl_jax.walker.boxes import Near
 from hitl_jax.walker.hinges import Impulses
-from hitl_jax.walker.kernel import on_gpu
+from hitl_jax.walker.kernel import as_kernel, on_gpu
 from hitl_jax.walker.plane import Pose, Speeds, Vec, dot, pose, tangent, where
 from hitl_jax.walker.rarely import rarely
 from hitl_jax.walker.sweep import NEAR, Sweep, may_meet
@@ -28,6 +29,8 @@ _FEW = 2
 Tree = TypeVar("Tree")
 
 _SHINS, _LEGS = (2, 4), (1, 2, 3, 4)
+_PARTS = (len(_LEGS),)
+"""The axis of the legs' parts, for `as_kernel`."""
 _SOUND = -3 * parts.LINEAR_SLOP
 _FIRMNESS = 0.2
 
@@ -76,13 +79,14 @@ def step(world: World, speed: jax.Array, torque: jax.Array, terrain: Terrain) ->
     """
     bodies = pose(world.place, world.angle)
     legs = legs_of(bodies)
-    manifold = touch.forward(ground.near_parts(terrain, legs_left(legs)).touch(legs))
-    contacts = touch.remember(world.contacts, manifold)
-    feet = touch.feet_after(world.feet, world.contacts, contacts)
+    near = ground.near_parts(terrain, legs_left(legs))
+    manifold, contacts, feet, seen = as_kernel(_touched, _PARTS)(
+        legs, near, world.contacts, world.feet
+    )
     fallen = world.fallen | _hull_meets(bodies, terrain, 2 * parts.SKIN)
 
     hinge = hinges.prepare(bodies, world.angle, speed, torque)
-    grip = grips.prepare(manifold, legs)
+    grip = grips.Grips(grips.WEIGHT, *seen)
     speeds, impulses, pressed = _velocities(world, hinge, grip, contacts)
     contacts = dataclasses.replace(contacts, normal=pressed[0], along=pressed[1])
     speeds, place, angle = impact.glide(speeds, world.place, world.angle, parts.SECONDS)
@@ -98,7 +102,7 @@ def step(world: World, speed: jax.Array, torque: jax.Array, terrain: Terrain) ->
     ended = pose(place, angle)
     near = ground.near_parts(terrain, legs_left(legs_of(ended)))
     meets = may_meet(legs_of(ended), near)
-    moved = rarely(meets, impact.land, moved, near, parts=(len(_LEGS),))
+    moved = rarely(meets, impact.land, moved, near, parts=_PARTS)
     fallen |= _hull_meets(ended, terrain, NEAR)
     return World(
         place=_after_head(place, moved.sweep.end_place),
@@ -110,6 +114,17 @@ def step(world: World, speed: jax.Array, torque: jax.Array, terrain: Terrain) ->
         feet=moved.feet,
         fallen=fallen,
     )
+
+
+def _touched(
+    legs: Pose, near: Near, before: Contacts, feet: jax.Array
+) -> tuple[touch.Manifold, Contacts, jax.Array, tuple]:
+    """Where the parts touch, what is remembered of it, who stands, and `Grips` but their weight."""
+    manifold = touch.forward(near.touch(legs))
+    contacts = touch.remember(before, manifold)
+    grip = grips.prepare(manifold, legs)
+    seen = grip.points, grip.matrix, grip.inverse
+    return manifold, contacts, touch.feet_after(feet, before, contacts), seen
 
 
 def _after_head(bodies: Vec, legs: Vec) -> Vec:
