@@ -25,6 +25,7 @@ from hitl_jax.walker import (
     touch,
     world,
 )
+from hitl_jax.walker.boxes import Boxes, Near
 from hitl_jax.walker.plane import Speeds, Vec, pose
 from hitl_jax.walker.rarely import where_needed
 from hitl_jax.walker.sweep import Sweep
@@ -121,12 +122,24 @@ def test_velocity_rounds_with_contacts_of_all_parts(now):
     _is_as_on_a_cpu(world._velocities, (before, hinge, grip, contacts))
 
 
-def test_where_parts_touch(now):
+def _on_stairs(near, place):
+    """The ground, and under each part two boxes that it touches or sinks into, as stairs."""
+    steps = np.array([0.1, -0.2, 0, 0], np.float32)[:, None, None]
+    left, top = place.x[1:] + steps, place.y[1:] - 0.45 + steps / 4
+    wide = np.where(steps != 0, 0.35, 0).astype(np.float32)
+    boxes = Boxes(Vec(left, top - 1), Vec(left + wide, top + 0 * left))
+    return Near(near.edges, boxes)
+
+
+@pytest.mark.parametrize("hardcore", [False, True])
+def test_where_parts_touch(now, hardcore):
     before, near, _, contacts, _, _ = now
-    bodies = pose(before.place, before.angle)
-    args = (world.legs_of(bodies), near, before.contacts, before.feet)
+    legs = world.legs_of(pose(before.place, before.angle))
     assert contacts.touching.any()
-    _agree(world._touched, args, parts=(4,))
+    if hardcore:
+        near = _on_stairs(near, before.place)
+        assert near.touch(legs).touching[4:].any()
+    _agree(world._touched, (legs, near, before.contacts, before.feet), parts=(4,))
 
 
 def test_position_rounds(now):
@@ -144,8 +157,11 @@ def test_position_rounds_of_a_walker_out_of_joint(now):
     _is_as_on_a_cpu(world._settle, (place, angle, hinge.side, manifold))
 
 
-def test_impacts_have_a_thread_for_each_part(now):
+@pytest.mark.parametrize("hardcore", [False, True])
+def test_impacts_have_a_thread_for_each_part(now, hardcore):
     before, near, _, contacts, _, _ = now
+    if hardcore:
+        near = _on_stairs(near, Vec(before.place.x, before.place.y - 0.03))
     start = Vec(before.place.x[1:], before.place.y[1:])
     end = Vec(start.x + 0.02, start.y - 0.1)
     moved = impact.Moved(
@@ -165,6 +181,15 @@ def test_terrain(now):
     pushes = np.linspace(-0.03, 0.03, 200 * _WALKERS, dtype=np.float32).reshape(200, _WALKERS)
     stretches = np.arange(200 * _WALKERS, dtype=np.int32).reshape(200, _WALKERS) % 5 + 5
     _agree(terrain._profile, (pushes, stretches))
+
+
+def test_hardcore_terrain():
+    rng = np.random.default_rng(0)
+    shape = (parts.TERRAIN_LENGTH, _WALKERS)
+    ends = ((5, 10), (1, 4), (1, 3), (3, 5))
+    integers = [rng.integers(*each, shape).astype(np.int32) for each in ends]
+    pushes = rng.uniform(-0.03, 0.03, shape).astype(np.float32)
+    _agree(terrain._spots, (pushes, *integers, rng.random(shape) < 0.5))
 
 
 def test_sine_and_cosine_are_as_good_as_float32():

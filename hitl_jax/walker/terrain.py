@@ -171,8 +171,14 @@ class _Spot:
         return jnp.where(self.kind == _STUMP, stump, other)
 
 
-def _plan(pushes: jax.Array, *drawn: jax.Array) -> tuple[jax.Array, Boxes]:
+def _plan(*drawn: jax.Array) -> tuple[jax.Array, Boxes]:
     """Heights and boxes from what `planned` takes; arrays are [TERRAIN_LENGTH, B]."""
+    heights, spots = as_kernel(_spots)(*drawn)
+    return heights, _built(spots)
+
+
+def _spots(pushes: jax.Array, *drawn: jax.Array) -> tuple[jax.Array, _Spot]:
+    """Heights and what is built, corner after corner; see `_plan`."""
     official = parts.official
 
     def corner(carry: tuple, given: tuple) -> tuple:
@@ -209,8 +215,7 @@ def _plan(pushes: jax.Array, *drawn: jax.Array) -> tuple[jax.Array, Boxes]:
     carry = level, jnp.zeros_like(level), pad, jnp.zeros_like(none, bool), start
     index = jnp.arange(parts.TERRAIN_LENGTH, dtype=jnp.int32)
     passed: tuple[jax.Array, _Spot] = jax.lax.scan(corner, carry, (index, pushes, *drawn))[1]
-    heights, spots = passed
-    return heights, _built(spots)
+    return passed
 
 
 def _built(spot: _Spot) -> Boxes:

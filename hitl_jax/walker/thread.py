@@ -206,6 +206,10 @@ class Thread:
     def _concatenate(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         return [np.concatenate(given, eqn.params["dimension"])]
 
+    def _split(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
+        places = np.cumsum(eqn.params["sizes"])[:-1]
+        return np.split(given[0], places, eqn.params["axis"])
+
     def _stack(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         return [np.stack(given, eqn.params["axis"])]
 
