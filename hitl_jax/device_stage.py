@@ -66,12 +66,12 @@ class DeviceStage:
             self._programs.unpack_behavior([_rows_of(packed, block)]) for block in self._pool.blocks
         ]
 
-    def ticks(self, slots: Slots, finite: np.ndarray, count: int, ahead: bool) -> Iterator[Tick]:
+    def ticks(self, slots: Slots, finite: np.ndarray, count: int) -> Iterator[Tick]:
         """See `Stage`."""
-        if ahead != bool(self._unbooked):
-            raise RuntimeError(f"ahead={ahead} with {self._unbooked} chunks that are not booked")
+        if self._unbooked > 1:
+            raise RuntimeError("no chunk can be begun while two are not booked")
         given = *begins_with(slots), finite
-        parts, moments = [], []
+        parts, boundaries, moments = [], [], []
         for index, block in enumerate(self._pool.blocks):
             rows = jax.tree.map(lambda leaf, block=block: leaf[block.start : block.stop], given)
             begin, *others = jax.device_put(rows, block.device)
@@ -82,25 +82,28 @@ class DeviceStage:
                 acting.hyper,
                 walkers,
                 self._behavior[index],
-                self._moments[index] if ahead else begin,
+                self._moments[index] if self._unbooked else begin,
                 *others,
             )
             self._acting[index] = acting._replace(state=state)
-            parts.append((*ticks, self._programs.boundaries(self._acting[index])[None]))
+            parts.append(ticks)
+            boundaries.append(self._programs.boundaries(self._acting[index]))
             moments.append(moment)
         self._moments = moments
         self._unbooked += 1
-        return self._told(parts)
+        return self._told(parts, boundaries)
 
-    def _told(self, parts: list[tuple[chex.Array, ...]]) -> Iterator[Tick]:
+    def _told(
+        self, parts: list[tuple[chex.Array, ...]], boundaries: list[chex.Array]
+    ) -> Iterator[Tick]:
         """Waits for a chunk's ticks, and gives them."""
-        several = zip(*jax.device_get(parts), strict=True)
-        *told, (boundaries,) = (
-            leaves[0] if len(leaves) == 1 else np.concatenate(leaves, axis=1) for leaves in several
-        )
+        told = [
+            leaves[0] if len(leaves) == 1 else np.concatenate(leaves, axis=1)
+            for leaves in zip(*jax.device_get(parts), strict=True)
+        ]
         for decided, live, *played in zip(*told, strict=True):
             yield _DeviceTick(decided, StepBatch(*played), live)
-        self._boundaries = boundaries
+        self._boundaries = np.concatenate(jax.device_get(boundaries))
         self._unbooked -= 1
 
     def seat(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
@@ -135,7 +138,7 @@ class DeviceStage:
 
 def begins_with(slots: Slots) -> tuple[Moment, np.ndarray, np.ndarray]:
     """What a chunk is given that begins where the host has booked: copies."""
-    own = jax.tree.map(np.copy, dataclasses.asdict(slots))
+    own = dataclasses.asdict(slots)
     begin = Moment(*(own[name] for name in Moment._fields))
     return begin, own["seeds"], own["left"]
 

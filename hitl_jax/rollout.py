@@ -191,9 +191,9 @@ class Rollout:
 
     def _next_chunk(self) -> list[FinishedRun]:
         """Plays a chunk, and gives the runs that ended in it."""
-        chunk, self._ahead = self._ahead or self._begin_chunk(ahead=False), None
+        chunk, self._ahead = self._ahead or self._begin_chunk(), None
         if self._stage.runs_ahead:
-            self._ahead = self._begin_chunk(ahead=True)
+            self._ahead = self._begin_chunk()
         return self._book(chunk)
 
     def _catch_up(self) -> None:
@@ -205,10 +205,10 @@ class Rollout:
             chunk, self._ahead = self._ahead, None
             self._book(chunk)
 
-    def _begin_chunk(self, ahead: bool) -> _Chunk:
+    def _begin_chunk(self) -> _Chunk:
         packed, finite = self._learner.parameters()
         self._stage.prepare(packed)
-        return _Chunk(finite, self._stage.ticks(self._slots, finite, self._config.chunk, ahead))
+        return _Chunk(finite, self._stage.ticks(self._slots, finite, self._config.chunk))
 
     def _book(self, chunk: _Chunk) -> list[FinishedRun]:
         """Notes what the walkers did, and has the learner learn from it."""
@@ -340,7 +340,7 @@ class Rollout:
             ended = live & complete(step, answer, layout)
             self._log.add(live, step[:, layout.action.start :])
             slots.needs_reset[:] = False
-            slots.observation = answer.observation
+            slots.observation = answer.observation.copy()
             for slot in ended.nonzero()[0].tolist():
                 self._end_episode(slot)
         frames, self._intervened = frames_of(

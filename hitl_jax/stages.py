@@ -75,17 +75,17 @@ class Stage(Protocol):
         """
         ...
 
-    def ticks(self, slots: Slots, finite: np.ndarray, count: int, ahead: bool) -> Iterator[Tick]:
+    def ticks(self, slots: Slots, finite: np.ndarray, count: int) -> Iterator[Tick]:
         """Plays ticks; the host books one before it asks for the next.
 
-        Where the stage `runs_ahead` it begins at once, else as the host asks.
+        Where the stage `runs_ahead` it begins at once, also if the ticks given before are not
+        booked yet; else as the host asks.
 
         Args:
             slots: as they are before each tick; the host changes them as it books.
             finite: whether a run's parameters are, bool [R]; others end here, and the host ends
                 them before it books.
             count: how many.
-            ahead: whether the ticks given before are not booked yet.
         """
         ...
 
@@ -160,9 +160,9 @@ class HostStage:
         rows = [np.asarray(part) for part in packed]
         self._behavior = self._programs.unpack_behavior(rows, self._acting.hyper)
 
-    def ticks(self, slots: Slots, finite: np.ndarray, count: int, ahead: bool) -> Iterator[Tick]:
+    def ticks(self, slots: Slots, finite: np.ndarray, count: int) -> Iterator[Tick]:
         """See `Stage`."""
-        del finite, ahead  # What the host has ended is not live.
+        del finite  # What the host has ended is not live.
         for _ in range(count):
             self._acting, packed = self._programs.act(
                 self._acting, self._behavior, slots.observation, slots.live

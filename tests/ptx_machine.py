@@ -40,8 +40,10 @@ _COMPUTED: dict[str, Callable] = {
 WARP = 32
 
 
-def run(text: str, num_threads: int, arrays: Sequence[np.ndarray]) -> None:
-    """Runs a kernel, with one block; what it tells is written into the arrays."""
+def run(
+    text: str, num_threads: int, arrays: Sequence[np.ndarray], block_size: int | None = None
+) -> None:
+    """Runs a kernel, in one block or in several; what it tells is written into the arrays."""
     body = text[text.index("{") + 1 : text.rindex("}")]
     lines = [line.strip().rstrip(";") for line in body.splitlines()]
     lines = [line for line in lines if line and not line.startswith(".")]
@@ -49,9 +51,11 @@ def run(text: str, num_threads: int, arrays: Sequence[np.ndarray]) -> None:
     flat = [array.reshape(-1) for array in arrays]
     program = [_parsed(line, labels, flat) for line in lines]
     with np.errstate(all="ignore"):
-        for first in range(0, num_threads, WARP):
-            numbers = range(first, min(first + WARP, num_threads))
-            _run_warp(program, [_run_thread(program, number, num_threads) for number in numbers])
+        size = block_size or num_threads
+        for block in range(-(-num_threads // size)):
+            for first in range(0, size, WARP):
+                numbers = range(first, min(first + WARP, size))
+                _run_warp(program, [_run_thread(program, block, size, n) for n in numbers])
 
 
 def _run_warp(program: list, threads: list) -> None:
@@ -77,9 +81,9 @@ def _next_question(thread: Iterator, told: object) -> tuple | None:
         return None
 
 
-def _run_thread(program: list, number: int, num_threads: int) -> Iterator:
+def _run_thread(program: list, block: int, size: int, number: int) -> Iterator:
     """Runs a thread; stops where it asks others, with the place and what it tells them."""
-    registers = {"%ctaid.x": 0, "%ntid.x": num_threads, "%tid.x": number}
+    registers = {"%ctaid.x": block, "%ntid.x": size, "%tid.x": number}
     place = 0
     while place < len(program):
         step = program[place]

@@ -111,13 +111,40 @@ def test_parameters_that_are_no_numbers_end_a_run_where_the_host_ends_it(togethe
             _assert_same(run, together[key])
 
 
-def test_what_is_begun_ahead_is_told_so():
+def test_saved_runs_that_wait_for_a_slot_go_on(together):
+    _, playing = _play(_specs(), 6, saved={}, chunks=4)
+    saved = {run.key: run for run in playing.save()}
+    assert len(saved) == 6
+    rest, _ = _play(_specs(), 4, saved=saved)
+    for key, run in together.items():
+        _assert_same(run, rest[key])
+
+
+def test_slots_of_runs_that_were_held_are_given_on(together):
+    """As where runs keep their slots until they are tested, and others wait for these."""
+    finished, held = {}, []
+    with device_toy.toys():
+        playing = Rollout(make_agent(_CONFIG), _specs(), jax_pool.JaxPool(4, 2), _LOOP)
+        for number, done in enumerate(playing):
+            finished |= {run.run.spec.key: run for run in done}
+            playing.hold(done)
+            held += done
+            if held and (number % 5 == 0 or playing.waits()):
+                playing.release(held)
+                held = []
+    assert len(finished) == len(together)
+    for key, run in together.items():
+        _assert_same(run, finished[key])
+
+
+def test_no_more_than_one_chunk_is_begun_ahead():
     with device_toy.toys():
         playing = Rollout(make_agent(_CONFIG), _specs(), jax_pool.JaxPool(4, 2), _LOOP)
         next(iter(playing))
         finite = np.ones(4, bool)
-        with pytest.raises(RuntimeError, match="ahead=False with 1 chunks"):
-            playing._stage.ticks(playing._slots, finite, 8, ahead=False)
+        playing._stage.ticks(playing._slots, finite, 8)
+        with pytest.raises(RuntimeError, match="two are not booked"):
+            playing._stage.ticks(playing._slots, finite, 8)
 
 
 def test_a_reward_that_is_no_number_ends_its_run_alone(monkeypatch):

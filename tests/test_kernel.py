@@ -62,7 +62,7 @@ def _prepared(before, heights):
     return near, manifold, contacts, hinge, grips.prepare(manifold, legs)
 
 
-def _emulated(function, parts=()):
+def _emulated(function, parts=(), block_size=None):
     """A function as a kernel, as it is for a GPU, on the slow machine."""
 
     def call(*args):
@@ -76,15 +76,16 @@ def _emulated(function, parts=()):
             # Not the same object: JAX would give what it has traced for a CPU.
             text, told = kernel.written(lambda *args: function(*args), parts, args)
         results = [np.zeros(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(told)]
-        ptx_machine.run(text, batch * math.prod(parts), [*jax.tree.leaves(args), *results])
+        threads = batch * math.prod(parts)
+        ptx_machine.run(text, threads, [*jax.tree.leaves(args), *results], block_size)
         return jax.tree.unflatten(jax.tree.structure(told), results)
 
     return call
 
 
-def _agree(function, args, parts=()):
+def _agree(function, args, parts=(), block_size=None):
     """The text does what the function does on a CPU."""
-    _are_close(_emulated(function, parts)(*args), jax.jit(function)(*args))
+    _are_close(_emulated(function, parts, block_size)(*args), jax.jit(function)(*args))
 
 
 def _are_close(got, expected):
@@ -217,14 +218,15 @@ def test_leaves_of_other_batches_are_named():
         kernel.written(lambda a, b: (a, b), (), args)
 
 
-def test_threads_of_a_walker_tell_each_other():
+@pytest.mark.parametrize("block_size", [None, 4, 8])
+def test_threads_of_a_walker_tell_each_other(block_size):
     def told(a):
         legs = jnp.flip(a, -3)
         known = a[0] > 0
         return legs, jnp.flip(a, (0, -2)), jnp.where(jnp.flip(known, -2), 1, jnp.int32(0))
 
     a = np.arange(24, dtype=np.float32).reshape(2, 2, 2, 3) % 5 - 2
-    _agree(told, (a,), parts=(2, 2))
+    _agree(told, (a,), parts=(2, 2), block_size=block_size)  # Of 8 the last is half empty.
 
 
 def test_threads_of_a_walker_go_round_together():
@@ -244,6 +246,7 @@ def test_threads_of_a_walker_go_round_together():
     ("function", "parts"),
     [
         (lambda a: jnp.flip(a, -2), (4,)),
+        (lambda a: jnp.flip(a, -3), (2, 3)),
         (lambda a: jnp.flip(a, -1), (2, 2)),
         (lambda a: jax.lax.cond((a > 0).any(), lambda: jnp.flip(a, -2), lambda: a), (2, 2)),
     ],

@@ -25,7 +25,8 @@ from hitl_jax.walker.kernel import as_kernel
 from hitl_jax.walker.plane import Speeds, Vec
 from hitl_jax.walker.touch import Manifold
 
-PARTS = (2, 2)
+_LANES = (2, 2)
+"""Legs, and thigh and shin: the axes of threads, for `as_kernel`."""
 _HIP, _KNEE = 0, 1
 """Hinges of the first leg, in the place of the second's."""
 _LEG_AXIS, _PART_AXIS = -3, -2
@@ -64,7 +65,7 @@ class _Motion:
 def _spread(tree: Tree) -> Tree:
     """Numbers of the legs' parts [..., 4, B], each where its thread is."""
     result: Tree = jax.tree.map(
-        lambda leaf: leaf.reshape(*leaf.shape[:-2], *PARTS, leaf.shape[-1]), tree
+        lambda leaf: leaf.reshape(*leaf.shape[:-2], *_LANES, leaf.shape[-1]), tree
     )
     return result
 
@@ -72,7 +73,7 @@ def _spread(tree: Tree) -> Tree:
 def _merged(tree: Tree) -> Tree:
     """Numbers of the legs' parts from their threads, [..., 4, B]."""
     result: Tree = jax.tree.map(
-        lambda leaf: leaf.reshape(*leaf.shape[:-3], math.prod(PARTS), leaf.shape[-1]), tree
+        lambda leaf: leaf.reshape(*leaf.shape[:-3], math.prod(_LANES), leaf.shape[-1]), tree
     )
     return result
 
@@ -82,7 +83,7 @@ def _of_both(tree: Tree, part: int) -> Tree:
 
     def one(leaf: jax.Array) -> jax.Array:
         chosen = leaf[..., part : part + 1, :]
-        return jnp.broadcast_to(chosen, (*chosen.shape[:-2], PARTS[1], chosen.shape[-1]))
+        return jnp.broadcast_to(chosen, (*chosen.shape[:-2], _LANES[1], chosen.shape[-1]))
 
     result: Tree = jax.tree.map(one, _spread(tree))
     return result
@@ -92,14 +93,14 @@ def _of_all(tree: Tree) -> Tree:
     """Those of the hull [..., B], where all threads of the walker are."""
 
     def one(leaf: jax.Array) -> jax.Array:
-        lanes = (*PARTS, leaf.shape[-1])
+        lanes = (*_LANES, leaf.shape[-1])
         return jnp.broadcast_to(leaf[..., None, None, :], (*leaf.shape[:-1], *lanes))
 
     result: Tree = jax.tree.map(one, tree)
     return result
 
 
-def _gathered(thighs: Tree, shins: Tree) -> Tree:
+def _paired(thighs: Tree, shins: Tree) -> Tree:
     """Numbers of thighs and shins, or of hips and knees, that all threads of a leg have."""
 
     def one(thigh: jax.Array, shin: jax.Array) -> jax.Array:
@@ -155,12 +156,12 @@ def velocities(
         normal=normal,
         along=along,
     )
-    after = as_kernel(_velocity_rounds, PARTS)(
+    after = as_kernel(_velocity_rounds, _LANES)(
         motion, _of_both(hinge, _HIP), _of_both(hinge, _KNEE), _spread(grip)
     )
     return (
-        _behind(after.hull, _gathered(after.thigh, after.shin)),
-        _gathered(after.hip, after.knee),
+        _behind(after.hull, _paired(after.thigh, after.shin)),
+        _paired(after.hip, after.knee),
         _merged((after.normal, after.along)),
     )
 
@@ -182,7 +183,7 @@ def settled(
         Both after them.
     """
     bodies = place, angle
-    hull, own = as_kernel(functools.partial(_position_rounds, firmness, sound), PARTS)(
+    hull, own = as_kernel(functools.partial(_position_rounds, firmness, sound), _LANES)(
         _of_all(_rows(bodies, 0)),
         _spread(_rows(bodies, slice(1, 5))),
         _of_both(side, _HIP),
@@ -250,10 +251,10 @@ def _position_rounds(
 ) -> tuple[Placed, Placed]:
     """As many position rounds as are needed and allowed; hull and parts after them."""
     like = own[1].shape
-    weight = grips.Weight(
-        *(jnp.broadcast_to(leaf.reshape(*PARTS, 1), like) for leaf in jax.tree.leaves(grips.WEIGHT))
+    weight = jax.tree.map(
+        lambda leaf: jnp.broadcast_to(leaf.reshape(*_LANES, 1), like), grips.WEIGHT
     )
-    references = [jnp.broadcast_to(leg, like) for leg in _REFERENCES]
+    references = [jnp.broadcast_to(of_legs, like) for of_legs in _REFERENCES]
 
     def one(carry: tuple) -> tuple:
         count, hull, own, active = carry

@@ -54,8 +54,8 @@ def _device() -> jax.Device:
 def as_kernel(function: Callable[..., Any], parts: tuple[int, ...] = ()) -> Callable[..., Any]:
     """The function as one kernel, for the GPUs of `on_gpu`; else itself.
 
-    Whether anybody needs another round is asked of each thread by itself: a loop must do nothing to
-    those that need none.
+    Whether anybody needs another round is asked of each thread by itself, or of its neighbours too
+    where threads tell each other: a loop must do nothing to those that need none.
 
     Args:
         function: of pytrees whose leaves' last axis is the batch, or 1, to such; what it does not

@@ -224,7 +224,8 @@ class Writer:
             return self.operate("ne", element, _NUMBERS[own](0))
         return self.apply(_CONVERSIONS[own, kind], kind, element)
 
-    # Between threads of a warp, all of which must come there.
+    # Between threads of a warp, all of which must come there. Lanes that a block does not have, or
+    # that have ended, are not waited for.
 
     def exchanged(self, element: Element, distance: int) -> Element:
         """The number of the thread whose own differs by one bit, worth a distance."""

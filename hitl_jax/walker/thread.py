@@ -42,6 +42,7 @@ class Thread:
         self._lanes = lanes
         self._rank = len(lanes)
         self._part = part
+        self._exchanges = lanes[:-1] == (2, 2)
         self._alone = False
         """Whether a thread may be where its neighbours are not."""
 
@@ -197,7 +198,7 @@ class Thread:
 
     def _exchanged(self, value: np.ndarray, axis: int) -> np.ndarray:
         """The numbers of the other thread along an axis of the lanes."""
-        if self._lanes[axis] != 2 or self._rank != 3 or self._alone:
+        if not self._exchanges or self._lanes[axis] != 2 or self._alone:
             raise NotImplementedError(f"axis {axis} of {self._lanes} flipped, or in a branch")
         distance = math.prod(self._lanes[axis + 1 : -1])
         others = [self._writer.exchanged(element, distance) for element in elements_of(value)]
@@ -283,7 +284,7 @@ class Thread:
         with self._writer.loop() as end:
             (test,) = self.run_closed(eqn.params["cond_jaxpr"], [*test_consts, *carry])
             (goes,) = elements_of(test)
-            if self._rank == 3 and not self._alone:
+            if self._exchanges and not self._alone:
                 goes = self._writer.any_of(goes)
             self._writer.branch(end, unless=goes)
             after = self.run_closed(eqn.params["body_jaxpr"], [*body_consts, *carry])

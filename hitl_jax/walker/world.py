@@ -22,12 +22,12 @@ from hitl_jax.walker.sweep import NEAR, Sweep, may_meet
 from hitl_jax.walker.terrain import Terrain
 from hitl_jax.walker.touch import Contacts
 
+Tree = TypeVar("Tree")
+
 _ROUNDS_FOR_ALL = 2
 """Position rounds that all walkers make together; most need no more."""
 _FEW = 2
 """Edges on which most shins stand at once, at most."""
-Tree = TypeVar("Tree")
-
 _SHINS, _LEGS = (2, 4), (1, 2, 3, 4)
 _PARTS = (len(_LEGS),)
 """The axis of the legs' parts, for `as_kernel`."""
@@ -184,8 +184,8 @@ def _velocities(
 ) -> tuple[Speeds, Impulses, tuple[grips.Pair, grips.Pair]]:
     """Velocities after gravity and all rounds, and the impulses of hinges and contacts.
 
-    Most walkers touch the ground with their shins alone, each on two edges at most: for the
-    others the rounds are made again, with all contacts.
+    On a CPU most walkers, which touch the ground with their shins alone, each on two edges at most,
+    are worked on without the other contacts; for the others the rounds are made again.
     """
     gravity = parts.SECONDS * parts.GRAVITY
     velocity = Vec(world.velocity.x, world.velocity.y + gravity)
