@@ -1,16 +1,19 @@
 """A chunk of ticks as one program on the device: acting, walkers and all between them."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import chex
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from hitl_jax import decisions
 from hitl_jax.envs import Command
 from hitl_jax.envs.jax_pool import tick
 from hitl_jax.replay import Layout
+from hitl_jax.stages import Slots
 
 Act = Callable[[Any, chex.Array, chex.Array], tuple[Any, chex.Array]]
 """From acting states, what is seen [B, O] and who takes a step, bool [B], to the next states and
@@ -18,19 +21,19 @@ what was decided, [B, W + 6]."""
 
 
 class Moment(NamedTuple):
-    """What B walkers begin a chunk with, or end it with: fields of `Slots`.
-
-    Attributes:
-        active: whether a run plays there, bool [B].
-        needs_reset: whether its next tick is a reset, bool [B].
-        left: episodes that its run has yet to end, int32 [B].
-        observation: what was seen last, [B, O].
-    """
+    """What B walkers begin a chunk with, or end it with; `Slots` says what its fields are."""
 
     active: chex.Array
     needs_reset: chex.Array
     left: chex.Array
     observation: chex.Array
+
+
+def begins_with(slots: Slots) -> tuple[Moment, np.ndarray, np.ndarray]:
+    """What `play` is given where a chunk begins with what the host has booked: copies."""
+    own = dataclasses.asdict(slots)
+    begin = Moment(*(own[name] for name in Moment._fields))
+    return begin, own["seeds"], own["left"]
 
 
 def play(

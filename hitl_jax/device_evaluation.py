@@ -14,8 +14,7 @@ from hitl_jax import decisions, device_chunk
 from hitl_jax.acting import ActingState
 from hitl_jax.agent import Agent
 from hitl_jax.config import RunHyper, typed
-from hitl_jax.device_chunk import Moment
-from hitl_jax.device_stage import begins_with
+from hitl_jax.device_chunk import Moment, begins_with
 from hitl_jax.devices import walker_devices
 from hitl_jax.envs import StepBatch
 from hitl_jax.envs.jax_pool import JaxPool

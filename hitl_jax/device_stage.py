@@ -13,7 +13,7 @@ from hitl_jax import batch, device_chunk
 from hitl_jax.agent import Agent
 from hitl_jax.batch import Programs
 from hitl_jax.config import RunHyper
-from hitl_jax.device_chunk import Moment
+from hitl_jax.device_chunk import Moment, begins_with
 from hitl_jax.envs import StepBatch
 from hitl_jax.envs.jax_pool import Block, JaxPool
 from hitl_jax.stages import Slots, Tick
@@ -134,13 +134,6 @@ class DeviceStage:
             if slot < block.stop:
                 return index, slot - block.start
         raise IndexError(slot)
-
-
-def begins_with(slots: Slots) -> tuple[Moment, np.ndarray, np.ndarray]:
-    """What a chunk is given that begins where the host has booked: copies."""
-    own = dataclasses.asdict(slots)
-    begin = Moment(*(own[name] for name in Moment._fields))
-    return begin, own["seeds"], own["left"]
 
 
 def _rows_of(packed: Sequence[jax.Array], block: Block) -> jax.Array:

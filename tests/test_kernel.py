@@ -30,7 +30,7 @@ from hitl_jax.walker.plane import Speeds, Vec, pose
 from hitl_jax.walker.rarely import where_needed
 from hitl_jax.walker.sweep import Sweep
 from hitl_jax.walker.terrain import Terrain
-from hitl_jax.walker.thread import cosine, sine
+from hitl_jax.walker.waves import cosine, sine
 
 _WALKERS = 3
 

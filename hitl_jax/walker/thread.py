@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax.walker.ptx import Element, Writer, kind_of
+from hitl_jax.walker.waves import cosine, sine
 
 
 class Thread:
@@ -367,40 +368,6 @@ class Thread:
 def _sign(number: jax.Array) -> jax.Array:
     one, zero = jnp.ones_like(number), jnp.zeros_like(number)
     return jnp.where(number > zero, one, jnp.where(number < zero, -one, number))
-
-
-def sine(angle: jax.Array) -> jax.Array:
-    """The sine to float32's precision, for angles of some thousand radians at most."""
-    return _quarter_wave(angle, 0)
-
-
-def cosine(angle: jax.Array) -> jax.Array:
-    """The cosine; see `sine`."""
-    return _quarter_wave(angle, 1)
-
-
-def _quarter_wave(angle: jax.Array, ahead: int) -> jax.Array:
-    """The sine of an angle and so many quarters of a turn.
-
-    What is left of the angle beyond whole quarters, found with a quarter in three pieces of few
-    bits, is at most an eighth of a turn, where short polynomials do (coefficients: S. Moshier's
-    Cephes library, sinf.c).
-    """
-    quarters = jax.lax.round(
-        angle * np.float32(2 / math.pi), jax.lax.RoundingMethod.TO_NEAREST_EVEN
-    )
-    rest = angle
-    for piece in (1.5703125, 4.837512969970703e-4, 7.54978995489188e-8):
-        rest = rest - quarters * np.float32(piece)
-    square = rest * rest
-    odd = np.float32(-1.9515295891e-4) * square + np.float32(8.3321608736e-3)
-    odd = rest + rest * square * (odd * square + np.float32(-1.6666654611e-1))
-    even = np.float32(2.443315711809948e-5) * square + np.float32(-1.388731625493765e-3)
-    even = even * square + np.float32(4.166664568298827e-2)
-    even = even * square * square - np.float32(0.5) * square + np.float32(1.0)
-    place = quarters.astype(jnp.int32) + ahead
-    wave = jnp.where(place & 1 > 0, even, odd)
-    return jnp.where(place & 2 > 0, -wave, wave)
 
 
 def array_of(elements: Sequence[Any], shape: Sequence[int]) -> np.ndarray:
