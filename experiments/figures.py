@@ -1,53 +1,8 @@
-"""Draws a results folder's figures: `python -m experiments.figures RESULTS`."""
+"""`hitl-jax figures` from a checkout: `python -m experiments.figures`."""
 
-import dataclasses
-import pathlib
 import sys
 
-import numpy as np
-import tyro
-
-from experiments.cli import BadInput, run_main
-from hitl_jax import stats
-from hitl_jax.figures import draw_all
-from hitl_jax.files import ResultsError
-from hitl_jax.results import ResultsFolder
-
-
-@dataclasses.dataclass(frozen=True)
-class Options:
-    """Draws the figures of a results folder into its `figures/`, early data included.
-
-    Attributes:
-        results: the folder that a sweep has written, finished or under way.
-    """
-
-    results: tyro.conf.Positional[pathlib.Path]
-
-
-def main(options: Options) -> int:
-    """Draws, and prints the files written.
-
-    Args:
-        options: what to draw.
-
-    Returns:
-        The exit code.
-
-    Raises:
-        BadInput: where there is nothing to draw from.
-    """
-    try:
-        folder = ResultsFolder(options.results)
-        paths, notes = draw_all(folder, np.random.default_rng(stats.SEED))
-    except ResultsError as error:
-        raise BadInput(str(error)) from error
-    if not paths:
-        raise BadInput(f"{options.results}: no episode has been saved yet")
-    for line in [*notes, *paths]:
-        print(line)
-    return 0
-
+from hitl_jax.__main__ import main
 
 if __name__ == "__main__":
-    sys.exit(run_main(Options, main))
+    sys.exit(main(["figures", *sys.argv[1:]]))

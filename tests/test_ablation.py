@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from small import TEAM
 
-from experiments import ablation, training, under_way
-from experiments.ablations.settings import ABLATIONS, Ablation, Setting
-from experiments.ablations.store import Store, digest
-from experiments.ablations.table import Line, to_markdown
-from experiments.changes import changed
-from experiments.cli import run_main
-from experiments.progress import Progress
-from experiments.signals import Interrupted
+from hitl_jax.commands import ablation, training, under_way
+from hitl_jax.commands.ablations.settings import ABLATIONS, Ablation, Setting
+from hitl_jax.commands.ablations.store import Store, digest
+from hitl_jax.commands.ablations.table import Line, to_markdown
+from hitl_jax.commands.changes import changed
+from hitl_jax.commands.cli import run_main
+from hitl_jax.commands.progress import Progress
+from hitl_jax.commands.signals import Interrupted
 from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.files import ResultsError, locked
 from hitl_jax.runs import Divergence, FinishedRun, Run, RunSpec
@@ -32,7 +32,7 @@ _TINY = Ablation(
 
 def _run(out, *args):
     small = ["--seeds", "1", "--episodes", "2", "--test-episodes", "1", "--out", str(out)]
-    return run_main(ablation.AblationOptions, ablation.main, [*args[:1], *small, *args[1:]])
+    return run_main("ablation", ablation.main, [*args[:1], *small, *args[1:]])
 
 
 def _lines(out):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from experiments import alarm_figure
-from experiments import alarms as command
-from experiments.cli import run_main
 from hitl_jax.alarms import count_alarms, total
+from hitl_jax.commands import alarm_figure
+from hitl_jax.commands import alarms as command
+from hitl_jax.commands.cli import run_main
 from hitl_jax.files import ResultsError
 from hitl_jax.results import ResultsFolder
 
@@ -38,9 +38,9 @@ def test_episodes_add_up():
 
 
 def test_the_folder_must_hold_runs(tmp_path, capsys):
-    assert run_main(command.AlarmOptions, command.main, [str(tmp_path)]) == 2
+    assert run_main("alarms", command.main, [str(tmp_path)]) == 2
     assert capsys.readouterr().err == f"error: {tmp_path}: no results here (no config.json)\n"
-    assert run_main(command.AlarmOptions, command.main, [str(tmp_path), "--episodes", "0"]) == 2
+    assert run_main("alarms", command.main, [str(tmp_path), "--episodes", "0"]) == 2
     assert "--episodes 0: must be at least 1" in capsys.readouterr().err
 
 

@@ -11,9 +11,9 @@ import pytest
 from test_results import CONFIG, KEY, make_episodes, make_info, make_params, make_tests
 from test_saves import _run as make_saved
 
-from experiments.cli import BadInput, checking_input, parse
-from experiments.options import SweepOptions
 from hitl_jax import files
+from hitl_jax.commands.cli import BadInput, checking_input, parse
+from hitl_jax.commands.options import SweepOptions
 from hitl_jax.files import ResultsError
 from hitl_jax.recording import Recording
 from hitl_jax.results import ResultsFolder

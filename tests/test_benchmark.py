@@ -10,12 +10,12 @@ import pytest
 import small
 from toy import ToyPool
 
-from experiments.benchmark import BenchmarkOptions, main
-from experiments.benchmarks import loop, peers, scaling
-from experiments.benchmarks.learner import update_flops
-from experiments.benchmarks.timing import busy_seconds, memory_mb, stolen_seconds
-from experiments.cli import run_main
 from hitl_jax.agent import make_agent
+from hitl_jax.commands.benchmark import main
+from hitl_jax.commands.benchmarks import loop, peers, scaling
+from hitl_jax.commands.benchmarks.learner import update_flops
+from hitl_jax.commands.benchmarks.timing import busy_seconds, memory_mb, stolen_seconds
+from hitl_jax.commands.cli import run_main
 from hitl_jax.config import AgentConfig, Method
 from hitl_jax.devices import learning_devices
 from hitl_jax.rollout import Rollout
@@ -39,7 +39,7 @@ from hitl_jax.rollout import Rollout
     ],
 )
 def test_bad_input_is_one_line(args, said, capsys):
-    assert run_main(BenchmarkOptions, main, args) == 2
+    assert run_main("benchmark", main, args) == 2
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1

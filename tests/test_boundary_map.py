@@ -7,11 +7,11 @@ import jax
 import numpy as np
 import pytest
 
-from experiments import boundary_map
-from experiments.cli import run_main
-from experiments.trained import agent_of, load_trained
 from hitl_jax import agent as agents
 from hitl_jax import checkpoint
+from hitl_jax.commands import boundary_map
+from hitl_jax.commands.cli import run_main
+from hitl_jax.commands.trained import agent_of, load_trained
 from hitl_jax.config import AgentConfig, Hyper
 from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey
@@ -35,7 +35,7 @@ def _folder(path, source, carry=0.25):
 
 
 def _run(folder, *options):
-    return run_main(boundary_map.MapOptions, boundary_map.main, [str(folder.path), *options])
+    return run_main("boundary-map", boundary_map.main, [str(folder.path), *options])
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from experiments import brax_ppo
-from experiments.cli import BadInput
+from hitl_jax.commands import brax_ppo
+from hitl_jax.commands.cli import BadInput
 from hitl_jax.walker.brax_env import BipedalWalker
 
 WALKERS = 16

@@ -6,10 +6,10 @@ import sys
 
 _SCRIPT = """
 import sys
-from experiments.compile_cache import keep_programs
+from hitl_jax.commands.compile_cache import keep_programs
 keep_programs()
 from toy import ToyPool
-from experiments.benchmarks.loop import specs_of
+from hitl_jax.commands.benchmarks.loop import specs_of
 from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Method
 from hitl_jax.rollout import Rollout

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from test_results import CONFIG, KEY, save
 
-from experiments.cli import run_main
-from experiments.faults import FaultOptions, _differences, main
+from hitl_jax.commands.cli import run_main
+from hitl_jax.commands.faults import _differences, main
 from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey
 
@@ -44,5 +44,5 @@ def test_what_differs_is_named(folders):
     ],
 )
 def test_bad_input_is_one_line(options, message, capsys):
-    assert run_main(FaultOptions, main, options) == 2
+    assert run_main("faults", main, options) == 2
     assert capsys.readouterr().err == f"error: {message}\n"

@@ -9,9 +9,9 @@ import matplotlib
 import numpy as np
 import pytest
 
-from experiments import figures as command
-from experiments.cli import run_main
 from hitl_jax import figures
+from hitl_jax.commands import figures as command
+from hitl_jax.commands.cli import run_main
 from hitl_jax.figures import draw_all
 from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey
@@ -199,7 +199,7 @@ def test_the_same_data_give_the_same_files(folder):
 
 def test_command_prints_the_files(folder, capsys):
     folder.write_partial(RunKey("srl", 0), make_training("srl", 0, 5))
-    assert run_main(command.Options, command.main, [str(folder.path)]) == 0
+    assert run_main("figures", command.main, [str(folder.path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert str(folder.path / "figures/figure4_training.png") in lines
     assert "figure5_test: no data for it" in lines
@@ -212,14 +212,14 @@ def test_command_refuses_in_one_line(folder, tmp_path, capsys):
         (tmp_path / "empty", "no results here (no config.json)"),
         (folder.path, "no episode has been saved yet"),
     ):
-        assert run_main(command.Options, command.main, [str(path)]) == 2
+        assert run_main("figures", command.main, [str(path)]) == 2
         captured = capsys.readouterr()
         assert captured.err == f"error: {path}: {says}\n"
         assert captured.out == ""
 
 
 def test_command_runs_as_a_module(folder):
-    arguments = [sys.executable, "-m", "experiments.figures", str(folder.path)]
+    arguments = [sys.executable, "-m", "hitl_jax", "figures", str(folder.path)]
     done = subprocess.run(arguments, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr == f"error: {folder.path}: no episode has been saved yet\n"

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 _SCRIPT = """
-import experiments
+import hitl_jax.commands
 import jax
 import jax.numpy as jnp
 def rounds(x):

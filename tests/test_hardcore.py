@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from experiments.agreements.states import copied
+from hitl_jax.commands.agreements.states import copied
 from hitl_jax.devices import walker_devices
 from hitl_jax.envs import HARDCORE_WALKER, Command, jax_pool, make_pool
 from hitl_jax.walker import copying, parts, terrain

@@ -5,12 +5,12 @@ import asyncio
 import numpy as np
 import pytest
 
-from experiments import shards, training
-from experiments.cli import LaunchError
-from experiments.launchers.cluster import Places, divided, places_of
-from experiments.launchers.machine import Inbox
-from experiments.shards import Shard
-from experiments.training import Batch, Plant
+from hitl_jax.commands import shards, training
+from hitl_jax.commands.cli import LaunchError
+from hitl_jax.commands.launchers.cluster import Places, divided, places_of
+from hitl_jax.commands.launchers.machine import Inbox
+from hitl_jax.commands.shards import Shard
+from hitl_jax.commands.training import Batch, Plant
 from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.run_key import RunKey
 from hitl_jax.runs import FinishedRun, LoopConfig, Run, RunSpec

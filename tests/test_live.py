@@ -15,11 +15,11 @@ import pytest
 import small
 from websockets.sync.client import connect
 
-from experiments import live, recorded
-from experiments.cli import run_main
-from experiments.judgements import load
 from hitl_jax import checkpoint
 from hitl_jax.agent import make_agent
+from hitl_jax.commands import live, recorded
+from hitl_jax.commands.cli import run_main
+from hitl_jax.commands.judgements import load
 from hitl_jax.config import AgentConfig
 from hitl_jax.files import ResultsError
 from hitl_jax.live import journal
@@ -34,7 +34,7 @@ class _Page:
     """A session in a process of its own, and a page that controls it."""
 
     def __init__(self, path, *options):
-        command = [sys.executable, "-m", "experiments.live", "--journal", str(path)]
+        command = [sys.executable, "-m", "hitl_jax", "live", "--journal", str(path)]
         self.process = subprocess.Popen(
             [*command, *_OPTIONS, *options], stdout=subprocess.PIPE, text=True, env=os.environ
         )
@@ -86,7 +86,7 @@ def test_a_session_survives_a_kill_and_becomes_a_human_for_sweeps(tmp_path, caps
     with np.load(f"{path}.npz") as learned:
         assert learned["boundary"].shape == ()
 
-    assert run_main(recorded.RecordedOptions, recorded.main, [str(path)]) == 0
+    assert run_main("recorded", recorded.main, [str(path)]) == 0
     said = capsys.readouterr().out
     assert "| threshold |" in said
     human = said.split("--human ")[-1].strip()
@@ -96,7 +96,7 @@ def test_a_session_survives_a_kill_and_becomes_a_human_for_sweeps(tmp_path, caps
 
 
 def _refused(options, capsys):
-    assert run_main(live.LiveOptions, live.main, [*_OPTIONS, *options]) == 2
+    assert run_main("live", live.main, [*_OPTIONS, *options]) == 2
     said = capsys.readouterr()
     assert said.err.startswith("error: ")
     assert said.err.count("\n") == 1

@@ -55,7 +55,7 @@ def test_only_those_who_know_the_address_come_in(served):
     assert served.page(f"/?token={TOKEN}", Host="evil.example")[0] == 400
     assert served.page("/../server.py")[0] == 404
     with served.open(token="wrong") as page:
-        assert _refusal(page) == (4403, "the address needs the token that experiments.live printed")
+        assert _refusal(page) == (4403, "the address needs the token that `hitl-jax live` printed")
     with served.open(origin="http://evil.example") as page:
         assert _refusal(page) == (4400, "another site's page may not speak to this session")
     assert served.session.frame.number == 0  # Nobody came: nothing was played.

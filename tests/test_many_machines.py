@@ -13,11 +13,9 @@ import threading
 import pytest
 import small
 
-from experiments import merge, seed_sweep
-from experiments.cli import run_main
-from experiments.merge import MergeOptions
-from experiments.options import SweepOptions
-from experiments.seed_sweep import main
+from hitl_jax.commands import merge, seed_sweep
+from hitl_jax.commands.cli import run_main
+from hitl_jax.commands.seed_sweep import main
 from hitl_jax.results import ResultsFolder
 
 # A cluster begins by a fork, in which nothing of JAX's is used.
@@ -31,11 +29,11 @@ _OPTIONS = [
 
 
 def _sweep(out, *options):
-    return run_main(SweepOptions, main, [*_OPTIONS, *options, "--out", str(out)])
+    return run_main("sweep", main, [*_OPTIONS, *options, "--out", str(out)])
 
 
 def _merge(*arguments):
-    return run_main(MergeOptions, merge.main, [*map(str, arguments)])
+    return run_main("merge", merge.main, [*map(str, arguments)])
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +138,7 @@ class _Driver:
 
     def __init__(self, cluster, out):
         options = ["--launcher", "ray", "--ray-address", cluster.address, "--out", str(out)]
-        command = [sys.executable, "-m", "experiments.seed_sweep", *_OPTIONS, *options]
+        command = [sys.executable, "-m", "hitl_jax", "sweep", *_OPTIONS, *options]
         env = {name: value for name, value in os.environ.items() if name != "JAX_NUM_CPU_DEVICES"}
         self.process = subprocess.Popen(
             command,

@@ -7,10 +7,10 @@ import shutil
 import numpy as np
 import pytest
 
-from experiments import report
-from experiments.cli import run_main
-from experiments.reports.claims import HOLDS, HOLDS_NOT, UNDECIDED, Results, judge
-from experiments.reports.starts import judge_starts
+from hitl_jax.commands import report
+from hitl_jax.commands.cli import run_main
+from hitl_jax.commands.reports.claims import HOLDS, HOLDS_NOT, UNDECIDED, Results, judge
+from hitl_jax.commands.reports.starts import judge_starts
 from hitl_jax.results import Run
 from hitl_jax.run_key import RunKey
 from hitl_jax.summary import skill_over_training
@@ -183,7 +183,7 @@ def test_what_is_committed_is_what_the_data_give(tmp_path, monkeypatch):
     monkeypatch.setattr(report, "draw_all", lambda folder, rng: ([], []))
     copy = tmp_path / "results"
     shutil.copytree(_RESULTS, copy)
-    assert run_main(report.ReportOptions, report.main, ["--results", str(copy)]) == 0
+    assert run_main("report", report.main, ["--results", str(copy)]) == 0
     for path in sorted(_RESULTS.rglob("*.md")):
         written = copy / path.relative_to(_RESULTS)
         assert written.read_text() == path.read_text()
@@ -191,5 +191,5 @@ def test_what_is_committed_is_what_the_data_give(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("folder", ["missing", "pyproject.toml"])
 def test_a_folder_without_results_is_refused(folder, capsys):
-    assert run_main(report.ReportOptions, report.main, ["--results", folder]) == 2
+    assert run_main("report", report.main, ["--results", folder]) == 2
     assert capsys.readouterr().err == f"error: --results {folder}: holds no results\n"

@@ -61,7 +61,7 @@ def make_info(**changes: Any) -> dict[str, Any]:
 @pytest.fixture
 def folder(tmp_path):
     folder = ResultsFolder(tmp_path / "out")
-    folder.create_or_resume(CONFIG, "python -m experiments.seed_sweep")
+    folder.create_or_resume(CONFIG, "hitl-jax sweep")
     return folder
 
 
@@ -108,7 +108,7 @@ def test_the_files_are_for_common_tools(folder):
         assert set(archive.files) == set(make_params())
     assert json.loads((path / "run.json").read_text())["seed"] == 3
     config = json.loads((folder.path / "config.json").read_text())
-    assert config["command"] == "python -m experiments.seed_sweep"
+    assert config["command"] == "hitl-jax sweep"
     assert config["versions"]["numpy"] == np.__version__
 
 

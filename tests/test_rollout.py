@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from toy import ToyPool
 
-from experiments.benchmarks.timing import memory_mb
 from hitl_jax.agent import behavior, make_agent
+from hitl_jax.commands.benchmarks.timing import memory_mb
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.devices import learning_devices
 from hitl_jax.envs import Command

@@ -18,10 +18,9 @@ import pytest
 import small
 from PIL import Image
 
-from experiments import alarms, replay, seed_sweep, verify
-from experiments.cli import run_main
-from experiments.options import SweepOptions
-from experiments.seed_sweep import _Sweep, main
+from hitl_jax.commands import alarms, replay, seed_sweep, verify
+from hitl_jax.commands.cli import run_main
+from hitl_jax.commands.seed_sweep import _Sweep, main
 from hitl_jax.evaluation import Evaluator
 from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey
@@ -36,7 +35,7 @@ _SMALL = [
 @contextlib.contextmanager
 def _start(*options):
     """A sweep in a process of its own."""
-    command = [sys.executable, "-m", "experiments.seed_sweep", *_SMALL, *options]
+    command = [sys.executable, "-m", "hitl_jax", "sweep", *_SMALL, *options]
     pipe = subprocess.PIPE
     with subprocess.Popen(
         command,
@@ -53,7 +52,7 @@ def _start(*options):
 
 
 def _run(out, *options):
-    return run_main(SweepOptions, main, [*_SMALL, *options, "--out", str(out)])
+    return run_main("sweep", main, [*_SMALL, *options, "--out", str(out)])
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +88,7 @@ def test_everything_is_written(swept):
 
 
 def test_alarms_are_counted_in_the_episodes_of_the_tests(swept):
-    assert run_main(alarms.AlarmOptions, alarms.main, [str(swept), "--episodes", "2"]) == 0
+    assert run_main("alarms", alarms.main, [str(swept), "--episodes", "2"]) == 0
     counted = list(csv.DictReader((swept / "alarms.csv").read_text().splitlines()))
     for run in ResultsFolder(swept).load_all():
         alone = select(run.tests, "mode", "autonomous")
@@ -102,11 +101,11 @@ def test_alarms_are_counted_in_the_episodes_of_the_tests(swept):
 
 
 def _verify(folder, *options):
-    return run_main(verify.VerifyOptions, verify.main, [str(folder), *options])
+    return run_main("verify", verify.main, [str(folder), *options])
 
 
 def _replay(folder, *options):
-    return run_main(replay.ReplayOptions, replay.main, [str(folder), *options])
+    return run_main("replay", replay.main, [str(folder), *options])
 
 
 def test_every_episode_that_is_kept_can_be_had_again(swept, tmp_path, capsys):

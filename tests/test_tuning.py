@@ -5,13 +5,13 @@ import json
 import pytest
 from small import TEAM
 
-from experiments import tuning
-from experiments.changes import changed
-from experiments.cli import run_main
+from hitl_jax.commands import tuning
+from hitl_jax.commands.changes import changed
+from hitl_jax.commands.cli import run_main
 
 
 def _run(*args):
-    return run_main(tuning.TuningOptions, tuning.main, args)
+    return run_main("tuning", tuning.main, args)
 
 
 def test_measures_once_and_tabulates(tmp_path, capsys, monkeypatch):

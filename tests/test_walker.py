@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from gymnasium.utils import seeding
 
-from experiments.agreements.returns import distance
-from experiments.agreements.states import copied
 from hitl_jax import walker
+from hitl_jax.commands.agreements.returns import distance
+from hitl_jax.commands.agreements.states import copied
 from hitl_jax.devices import walker_devices
 from hitl_jax.envs import WALKER, Command, jax_pool, lean, make_pool
 from hitl_jax.keys import make_key

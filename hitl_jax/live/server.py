@@ -169,9 +169,7 @@ class Live:
 
     async def _page(self, request: Request) -> Response:
         if not self._knows(request.query_params.get("token")):
-            said = (
-                "This page needs the whole address that experiments.live printed, with its token."
-            )
+            said = "This page needs the whole address that `hitl-jax live` printed, with its token."
             return PlainTextResponse(said, 403, headers=_HEADERS)
         return FileResponse(_PAGE / "index.html", headers=_HEADERS)
 
@@ -186,7 +184,7 @@ class Live:
             await page.close(_FOREIGN, "another site's page may not speak to this session")
             return
         if not self._knows(page.query_params.get("token")):
-            await page.close(_REFUSED, "the address needs the token that experiments.live printed")
+            await page.close(_REFUSED, "the address needs the token that `hitl-jax live` printed")
             return
         visitor = _Visitor(page, controls=not any(other.controls for other in self._visitors))
         self._visitors.append(visitor)

@@ -1,1 +1,0 @@
-"""The parts of `experiments.benchmark`; each gives the rows of a table."""

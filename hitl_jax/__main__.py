@@ -1,0 +1,55 @@
+"""The command line: `hitl-jax sweep`, or `python -m hitl_jax sweep`."""
+
+import importlib
+import sys
+from collections.abc import Sequence
+
+_COMMANDS = {
+    "sweep": ("seed_sweep", "trains and tests the three methods over many seeds"),
+    "figures": ("figures", "draws the figures of a results folder"),
+    "alarms": ("alarms", "tells how well alarms foretell falls, at any boundary"),
+    "boundary-map": ("boundary_map", "draws the boundary over the state"),
+    "replay": ("replay", "films an episode of a results folder"),
+    "verify": ("verify", "plays kept episodes again and compares"),
+    "merge": ("merge", "makes one folder of the shards of a sweep"),
+    "live": ("live", "opens a page on which you are the human"),
+    "recorded": ("recorded", "makes a human for sweeps of a live session"),
+    "ablation": ("ablation", "takes one part of the team apart"),
+    "tuning": ("tuning", "tells what a learner's configuration costs and gives"),
+    "report": ("report", "writes the report and all figures from saved results"),
+    "benchmark": ("benchmark", "measures how fast each part is on this machine"),
+    "agreement": ("agreement", "compares the walker in JAX with Box2D's"),
+    "brax-ppo": ("brax_ppo", "trains Brax's PPO on the walker in JAX"),
+    "faults": ("faults", "kills sweeps again and again and compares results"),
+}
+"""Each command: its module in `hitl_jax.commands`, and what it does.
+
+A module's `main` takes one dataclass of options, and returns the exit code."""
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Runs a command.
+
+    Args:
+        words: the command's name and its options (default: the process's).
+
+    Returns:
+        The exit code; 2 for bad input, after one line on stderr.
+    """
+    name, *options = (sys.argv[1:] if words is None else words) or ["--help"]
+    if name in ("-h", "--help"):
+        print("usage: hitl-jax COMMAND [OPTIONS]    (--help after a command lists its options)\n")
+        for command, (_, purpose) in _COMMANDS.items():
+            print(f"  {command:14}{purpose}")
+        return 0
+    if name not in _COMMANDS:
+        print(f"error: {name}: must be one of {', '.join(_COMMANDS)}", file=sys.stderr)
+        return 2
+    from hitl_jax.commands.cli import run_main
+
+    module = importlib.import_module(f"hitl_jax.commands.{_COMMANDS[name][0]}")
+    return run_main(name, module.main, options)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

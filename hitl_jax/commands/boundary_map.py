@@ -1,0 +1,171 @@
+"""The boundary as a function of the state: `hitl-jax boundary-map RESULTS`.
+
+For results whose boundary an actor gives (`--boundary-source network` or `residual`). Plays
+HITL-AC's trained walkers alone, and shows the mean boundary over hull angle and angular velocity
+where they have been.
+"""
+
+import contextlib
+import dataclasses
+import pathlib
+
+import numpy as np
+import tyro
+from matplotlib.figure import Figure
+
+from hitl_jax.agent import Agent
+from hitl_jax.commands.cli import BadInput, checking_input
+from hitl_jax.commands.compile_cache import keep_programs
+from hitl_jax.commands.plays import playing_backend
+from hitl_jax.commands.trained import able_to_play, agent_of, load_trained
+from hitl_jax.config import Method, require
+from hitl_jax.envs import make_pool
+from hitl_jax.evaluation import Evaluator, evaluate_policies
+from hitl_jax.figure_parts import COLUMN, GREY, paper_style, save
+from hitl_jax.figures import boundary_label, tolerance_in
+from hitl_jax.files import ResultsError, named_errors, write_text_atomic
+from hitl_jax.results import ResultsFolder
+from hitl_jax.run_key import RunKey
+from hitl_jax.tables import cells_from_csv
+
+DATA = "boundary_map.csv"
+"""In a results folder."""
+
+_COLUMNS = ("angle", "velocity", "steps", "boundary")
+_SOURCES = ("network", "residual")
+_VELOCITY_UNIT = 25.0  # rad/s; the observation is 2 ω / 50
+_ANGLES = np.linspace(-1.0, 1.0, 41)  # edges of cells [rad]
+_VELOCITIES = np.linspace(-5.0, 5.0, 41)  # [rad/s]
+_FEW = 3
+"""Steps in a cell below which its mean says nothing."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MapOptions:
+    """Maps the boundary that an actor has learned; writes RESULTS/boundary_map.csv and figure 9.
+
+    Attributes:
+        results: a folder that a sweep has written, with `network` or `residual` as its source.
+        episodes: test episodes of a run.
+    """
+
+    results: tyro.conf.Positional[pathlib.Path]
+    episodes: int = 20
+
+
+def main(options: MapOptions) -> int:
+    """Plays, writes and draws.
+
+    Args:
+        options: what to play.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        BadInput: where there is nothing to map.
+    """
+    with checking_input():
+        require("episodes", options.episodes, at_least=1)
+    try:
+        folder = ResultsFolder(options.results)
+        agent = agent_of(folder)
+        source = agent.config.boundary_source
+        if source not in _SOURCES:
+            raise BadInput(
+                f"{options.results}: its boundary source is {source}: must be one of "
+                f"{', '.join(_SOURCES)}, where an actor's output is executed"
+            )
+        keys = [key for key in able_to_play(folder) if key.method == Method.HITL_AC]
+        if not keys:
+            raise BadInput(f"{options.results}: no run of HITL-AC has finished yet")
+        keep_programs()
+        steps = np.zeros((_ANGLES.size - 1, _VELOCITIES.size - 1))
+        sums = np.zeros_like(steps)
+        with contextlib.closing(make_pool(playing_backend(folder), options.episodes)) as pool:
+            evaluator = Evaluator(agent, pool)
+            for key in keys:
+                visited = _visits(agent, evaluator, folder, key)
+                cells = (visited[:, 0], visited[:, 1])
+                edges = (_ANGLES, _VELOCITIES)
+                steps += np.histogram2d(*cells, bins=edges)[0]
+                sums += np.histogram2d(*cells, bins=edges, weights=visited[:, 2])[0]
+                print(f"{key}: {len(visited):,} steps", flush=True)
+        write_text_atomic(options.results / DATA, _to_csv(steps, sums))
+        for path in draw(folder):
+            print(path)
+    except ResultsError as error:
+        raise BadInput(str(error)) from error
+    return 0
+
+
+def draw(folder: ResultsFolder) -> list[pathlib.Path]:
+    """Draws the figure into the folder's `figures`; the files written.
+
+    Raises:
+        ResultsError: if the data are damaged.
+    """
+    with named_errors(folder.path / DATA):
+        angle, velocity, _, boundary = _cells(folder)
+        edges = (_ANGLES, _VELOCITIES)
+        sums, counts = (
+            np.histogram2d(angle, velocity, bins=edges, weights=weights)[0]
+            for weights in (boundary, None)
+        )
+    mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+    with paper_style():
+        figure = Figure(figsize=(COLUMN, 3.6), layout="constrained")
+        axes = figure.subplots()
+        mesh = axes.pcolormesh(_ANGLES, _VELOCITIES, mean.T, cmap="viridis", rasterized=True)
+        figure.colorbar(mesh, label=boundary_label(folder))
+        title = "white: not visited"
+        tolerance = tolerance_in(folder)
+        if tolerance is not None:
+            title = f"dashed: the human's tolerance; {title}"
+            for side in (-tolerance, tolerance):
+                axes.axvline(side, color=GREY, linewidth=0.9, linestyle="--")
+        axes.set(xlabel="hull angle [rad]", ylabel="hull angular velocity [rad/s]")
+        axes.set_title(title, fontsize=8.0)
+        return save(figure, folder.path / "figures" / "figure9_map")
+
+
+def told(folder: ResultsFolder) -> tuple[np.ndarray, np.ndarray]:
+    """Steps in each cell of the map, and the mean boundary there, [C] each.
+
+    Raises:
+        ResultsError: if the data are damaged.
+    """
+    with named_errors(folder.path / DATA):
+        _, _, steps, boundary = _cells(folder)
+        return steps, boundary
+
+
+def _cells(folder: ResultsFolder) -> list[np.ndarray]:
+    """The columns of the data, [C] each."""
+    cells = cells_from_csv((folder.path / DATA).read_text(), _COLUMNS)
+    return [np.array(column, float) for column in cells.values()]
+
+
+def _visits(agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunKey) -> np.ndarray:
+    """Hull angle, angular velocity and boundary of every step of the tests, [T, 3]."""
+    spec, end = load_trained(folder, key)
+    layout = agent.layout
+    visited: list[np.ndarray] = []
+
+    def watch(decided: np.ndarray, active: np.ndarray) -> None:
+        angle, velocity = decided[active, layout.observation][:, :2].T
+        boundary = decided[active, layout.boundary]
+        visited.append(np.column_stack([angle, velocity * _VELOCITY_UNIT, boundary]))
+
+    evaluate_policies(evaluator, "autonomous", spec, [end], watch)
+    return np.concatenate(visited)
+
+
+def _to_csv(steps: np.ndarray, sums: np.ndarray) -> str:
+    lines = [",".join(_COLUMNS) + "\n"]
+    for angle, velocity in np.argwhere(steps >= _FEW):
+        middle = (_ANGLES[angle : angle + 2].mean(), _VELOCITIES[velocity : velocity + 2].mean())
+        count = steps[angle, velocity]
+        mean = sums[angle, velocity] / count
+        lines.append(f"{middle[0]:.6f},{middle[1]:.6f},{count:.0f},{mean:.6f}\n")
+    return "".join(lines)

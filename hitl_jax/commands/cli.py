@@ -1,0 +1,92 @@
+"""Command lines: a dataclass of options in, one clear line and exit code 2 for bad input."""
+
+import contextlib
+import io
+import itertools
+import sys
+import typing
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar
+
+import tyro
+
+from hitl_jax.envs import WalkerError
+from hitl_jax.files import ResultsError
+
+T = TypeVar("T")
+
+
+class BadInput(Exception):
+    """One line that names the option, the value and what is allowed."""
+
+
+class LaunchError(Exception):
+    """What went wrong on other machines, in one line."""
+
+
+def run_main(name: str, main: Callable[[Any], int], args: Sequence[str]) -> int:
+    """Parses the command line and runs `main`.
+
+    Bad input is one line on stderr and exit code 2. So is, with exit code 1, what the system
+    refuses in mid-work; what a walker's process died of is followed by the end of its log.
+
+    Args:
+        name: of the command.
+        main: does the work and returns an exit code; may raise BadInput. The type of its argument
+            is a dataclass of options.
+        args: the words after the command's name.
+    """
+    try:
+        options = typing.get_type_hints(main)["options"]
+        return main(parse(options, args, f"hitl-jax {name}"))
+    except BadInput as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except (ResultsError, WalkerError, LaunchError) as error:
+        print("\n".join([f"error: {error}", *getattr(error, "__notes__", [])]), file=sys.stderr)
+        return 1
+    except OSError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("\nStopped at once.", file=sys.stderr)
+        return 130
+
+
+def first_line(error: BaseException) -> str:
+    """What an error says first; its type, if it says nothing."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
+@contextlib.contextmanager
+def checking_input() -> Iterator[None]:
+    """Turns what the library says of a bad value into BadInput; only for checks, not for work."""
+    try:
+        yield
+    except (ValueError, ImportError) as error:
+        raise BadInput(" ".join(str(error).split())) from error
+
+
+def parse(options: type[T], args: Sequence[str], prog: str = "hitl-jax") -> T:
+    """The options of a command line.
+
+    tyro explains a bad command line in a framed box; this says the same in one line.
+
+    Raises:
+        BadInput: what is wrong, in one line.
+    """
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said), checking_input():
+            return tyro.cli(options, args=args, prog=prog)
+    except SystemExit as stop:
+        if stop.code in (0, None):
+            raise
+        raise BadInput(_one_line(said.getvalue())) from stop
+
+
+def _one_line(box: str) -> str:
+    """The message of tyro's box: what stands above its first rule, without the frame."""
+    lines = [line.strip("│ ").strip() for line in box.splitlines()]
+    message = list(itertools.takewhile(lambda line: not line.startswith("──"), lines[1:]))
+    return " ".join(line for line in message if line)

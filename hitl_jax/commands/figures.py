@@ -1,0 +1,48 @@
+"""Draws a results folder's figures: `hitl-jax figures RESULTS`."""
+
+import dataclasses
+import pathlib
+
+import numpy as np
+import tyro
+
+from hitl_jax import stats
+from hitl_jax.commands.cli import BadInput
+from hitl_jax.figures import draw_all
+from hitl_jax.files import ResultsError
+from hitl_jax.results import ResultsFolder
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Draws the figures of a results folder into its `figures/`, early data included.
+
+    Attributes:
+        results: the folder that a sweep has written, finished or under way.
+    """
+
+    results: tyro.conf.Positional[pathlib.Path]
+
+
+def main(options: Options) -> int:
+    """Draws, and prints the files written.
+
+    Args:
+        options: what to draw.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        BadInput: where there is nothing to draw from.
+    """
+    try:
+        folder = ResultsFolder(options.results)
+        paths, notes = draw_all(folder, np.random.default_rng(stats.SEED))
+    except ResultsError as error:
+        raise BadInput(str(error)) from error
+    if not paths:
+        raise BadInput(f"{options.results}: no episode has been saved yet")
+    for line in [*notes, *paths]:
+        print(line)
+    return 0

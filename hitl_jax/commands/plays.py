@@ -1,0 +1,107 @@
+"""Episodes of a results folder, played again: recorded ones from their actions, tests anew."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from hitl_jax.agent import Agent
+from hitl_jax.commands.trained import load_trained
+from hitl_jax.envs import WalkerPool
+from hitl_jax.episode_log import playback
+from hitl_jax.episodes import Row
+from hitl_jax.evaluation import Evaluator, Mode, evaluate_policies
+from hitl_jax.files import ResultsError
+from hitl_jax.recording import Recording
+from hitl_jax.results import ResultsFolder
+from hitl_jax.run_key import RunKey
+from hitl_jax.runs import episode_seed
+from hitl_jax.steps import recorded_steps
+
+
+class PlayedTest(NamedTuple):
+    """A test episode, played again.
+
+    Attributes:
+        row: what it brought now.
+        seed: its reset seed.
+        episode: its steps.
+    """
+
+    row: Row
+    seed: int
+    episode: Recording
+
+
+def training_seed(key: RunKey, episode: int) -> int:
+    """Reset seed of a training episode, counted from 1."""
+    return episode_seed(key.method, key.seed, episode - 1)
+
+
+def returns_of(
+    pool: WalkerPool, episodes: Mapping[int, np.ndarray], seeds: np.ndarray
+) -> list[float]:
+    """Plays episodes again, side by side; what the environment gave for each.
+
+    Args:
+        pool: of seedable walkers.
+        episodes: actions by walker, [T, A] each.
+        seeds: reset seed of each walker, uint32 [N].
+    """
+    totals = [0.0] * pool.num_walkers
+    for command, action in playback(pool.num_walkers, episodes):
+        reward = pool.step(command, action, seeds).reward
+        totals = [total + float(more) for total, more in zip(totals, reward, strict=True)]
+    return [totals[walker] for walker in episodes]
+
+
+def play_tests(
+    agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunKey, mode: Mode
+) -> list[PlayedTest]:
+    """Plays a run's tests once more, from its parameters.
+
+    Args:
+        agent: the team.
+        evaluator: with as many walkers as the tests had episodes.
+        folder: the results.
+        key: the run.
+        mode: which tests.
+
+    Raises:
+        ResultsError: if the run is not there, or is not of this program.
+    """
+    spec, end = load_trained(folder, key)
+    seen: list[np.ndarray] = []
+
+    def watch(decided: np.ndarray, active: np.ndarray) -> None:
+        del active  # the rows tell how long each episode was
+        seen.append(recorded_steps(decided, agent.layout, spec.hyper))
+
+    rows = evaluate_policies(evaluator, mode, spec, [end], watch)
+    steps = np.stack(seen, axis=1)
+    return [
+        PlayedTest(
+            row,
+            episode_seed("test", key.seed, place),
+            Recording(place + 1, steps[place, : row["length"]]),
+        )
+        for place, row in enumerate(rows)
+    ]
+
+
+def playing_backend(folder: ResultsFolder) -> str:
+    """On which backend episodes of a folder are played again."""
+    backend = folder.load_config().get("backend")
+    return "jax" if backend == "jax" else "lean"  # Which equals gymnasium's, and is the quicker.
+
+
+def require_repeatable(folder: ResultsFolder) -> None:
+    """Refuses results whose episodes cannot be had again.
+
+    Raises:
+        ResultsError: in one line.
+    """
+    if folder.load_config().get("backend") == "envpool":
+        raise ResultsError(
+            f"{folder.path}: made with --backend envpool, whose episodes cannot be played again"
+        )

@@ -1,0 +1,167 @@
+"""What a person did in a live session, as a human for sweeps: `hitl-jax recorded`.
+
+    hitl-jax recorded runs/live/session.jsonl
+    hitl-jax sweep --human recorded:runs/live/session.jsonl.human.npz
+
+Plays the session again, writes the person's judgements step by step, and says which simulated human
+they are most like.
+"""
+
+import dataclasses
+import pathlib
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import tyro
+
+from hitl_jax.commands import judgements
+from hitl_jax.commands.cli import checking_input
+from hitl_jax.commands.compile_cache import keep_programs
+from hitl_jax.commands.live import LiveOptions, setup_of
+from hitl_jax.config import AgentConfig, Hyper
+from hitl_jax.files import ResultsError
+from hitl_jax.fit_human import FittedHuman, fit_human
+from hitl_jax.human import HumanParams
+from hitl_jax.indicator import hull_angle, weighted
+from hitl_jax.live import journal
+from hitl_jax.live.labels import judged
+from hitl_jax.live.session import Session
+from hitl_jax.runs import LoopConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordedOptions:
+    """Make a human for sweeps of what a person did in a live session.
+
+    Attributes:
+        journal: of the session.
+        start: the `params.npz` that it began with, if it began with one.
+        human_policy: the `params.npz` of its assistant, if it had one.
+    """
+
+    journal: tyro.conf.Positional[str]
+    start: str | None = None
+    human_policy: str | None = None
+
+
+class Steps(NamedTuple):
+    """A session, step by step.
+
+    Attributes:
+        observation: s_t, [T, O].
+        begins: whether an episode begins here, bool [T].
+        alarmed: C, bool [T].
+        dangerous: h_t = 0 as it stands at the end, bool [T].
+    """
+
+    observation: np.ndarray
+    begins: np.ndarray
+    alarmed: np.ndarray
+    dangerous: np.ndarray
+
+
+def main(options: RecordedOptions) -> int:
+    """Plays the session again, writes the judgements, and compares.
+
+    Args:
+        options: which.
+
+    Returns:
+        The exit code.
+    """
+    path = pathlib.Path(options.journal)
+    header, lines = journal.read(path)
+    with checking_input():
+        session_options = _options(header, options)
+        asked = session_options.header()
+        for name in ("start", "human_policy"):
+            if asked[name] != header.get(name):
+                given = getattr(options, name)
+                flag = name.replace("_", "-")
+                raise ValueError(f"--{flag} {given}: the session had {header.get(name)}")
+        if not session_options.with_person:
+            raise ValueError(f"{path}: --mode watch: no person judged in this session")
+        setup = setup_of(session_options)
+    keep_programs()
+    steps = _steps(Session(setup), lines, path)
+    if not len(steps.dangerous):
+        raise ResultsError(f"{path}: no step was played")
+    out = path.with_name(f"{path.name}.human.npz")
+    judgements.write(out, steps.dangerous)
+    print("\n".join(_said(steps)))
+    print(f"\nThe person as a human for sweeps: --human {judgements.PREFIX}{out}")
+    return 0
+
+
+def _options(header: journal.Line, options: RecordedOptions) -> LiveOptions:
+    """The options of a session, from its journal."""
+    try:
+        agent, hyper = dict(header["agent"]), dict(header["hyper"])
+        lists = {name: tuple(value) for name, value in agent.items() if isinstance(value, list)}
+        return LiveOptions(
+            mode=header["mode"],
+            start=options.start,
+            method=header["method"],
+            seed=header["seed"],
+            human_policy=options.human_policy,
+            agent=AgentConfig(**agent | lists),
+            loop=LoopConfig(**header["loop"]),
+            hyper=Hyper(**hyper | {"human": HumanParams(**hyper["human"])}),
+        ).checked()
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"{options.journal}: is no journal of a live session") from error
+
+
+def _steps(session: Session, lines: list[journal.Line], path: pathlib.Path) -> Steps:
+    seen, begins, alarmed, live = [], [], [], []
+
+    def note() -> None:
+        frame = session.frame
+        seen.append(frame.observation)
+        begins.append(frame.step == 0)
+        alarmed.append(frame.alarmed)
+        live.append(not frame.ended)
+
+    for _ in journal.play(session, lines, path, before_step=note):
+        pass
+    live_steps = np.array(live, bool)
+    dangerous = judged(session.labels, 0, len(live))
+    columns = (np.array(seen), np.array(begins, bool), np.array(alarmed, bool), dangerous)
+    return Steps(*(column[live_steps] for column in columns))
+
+
+def _said(steps: Steps) -> list[str]:
+    """What is told of a person."""
+    dangerous, alarmed = steps.dangerous, steps.alarmed
+    lines = [
+        f"{len(dangerous):,} steps of {int(steps.begins.sum())} episodes; "
+        f"judged dangerous: {int(dangerous.sum()):,} steps ({dangerous.mean():.1%})",
+        f"steps with an alarm: {int(alarmed.sum()):,}, of which the person agreed with "
+        f"{int((alarmed & dangerous).sum()):,}",
+    ]
+    if not dangerous.any():
+        return [*lines, "Nothing was judged dangerous: there is nothing to compare."]
+    lines += [
+        "",
+        "| simulated human | tolerance [rad] | delay [steps] | misses | fears | disagrees |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    horizon = HumanParams().horizon
+    signals = {"threshold": hull_angle, "predictive": weighted(1.0, horizon)}
+    fits: dict[str, FittedHuman] = {}
+    for name, signal in signals.items():
+        values = np.abs(np.asarray(jax.vmap(signal)(steps.observation)))
+        fit = fits[name] = fit_human(values, steps.begins, dangerous)
+        lines.append(
+            f"| {name} | {fit.tolerance:.3f} | {fit.delay} | {fit.missed:.1%} | {fit.feared:.1%} "
+            f"| {fit.disagrees:.2%} |"
+        )
+    best = min(fits, key=lambda name: fits[name].disagrees)
+    fit = fits[best]
+    lines += [
+        "",
+        f"Nearest: --danger {best} --human.tolerance {fit.tolerance:.3f} --human.delay {fit.delay} "
+        f"--human.mistake-rate {fit.disagrees:.4f}",
+    ]
+    return lines

@@ -1,0 +1,246 @@
+"""The report: `hitl-jax report` rebuilds it, and every figure, from saved data.
+
+Each number in it is computed here from the folders of `results/`. Run on what is committed, it
+changes nothing.
+"""
+
+import dataclasses
+import pathlib
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+
+from hitl_jax import stats
+from hitl_jax.commands import alarm_figure, boundary_map
+from hitl_jax.commands.ablation import AblationOptions, lines_of, write_ablation
+from hitl_jax.commands.ablations.settings import ABLATIONS
+from hitl_jax.commands.ablations.store import Store
+from hitl_jax.commands.cli import BadInput
+from hitl_jax.commands.reports.claims import Claim, Results, judge
+from hitl_jax.commands.reports.starts import judge_starts
+from hitl_jax.commands.tuning import TuningOptions
+from hitl_jax.commands.tuning import table as tuning_table
+from hitl_jax.config import Method
+from hitl_jax.differences import flatten
+from hitl_jax.figures import draw_all
+from hitl_jax.files import ResultsError, write_text_atomic
+from hitl_jax.provenance import short_commit
+from hitl_jax.results import ResultsFolder, Run
+from hitl_jax.summary import write_summary
+
+_STARTS = "initial-boundary"
+_NETWORK = "network"
+_COMPARED = (Method.HITL_FIX, Method.HITL_AC)
+
+_FIGURES = {
+    "figure4_training": "training return over episodes",
+    "figure4_steps": "the same over environment steps",
+    "figure5_test": "test episodes",
+    "figure5_progress": "autonomous tests during training",
+    "figure6_boundary": "the boundary",
+    "figure6_moves": "what moved it",
+    "figure7_human": "the human's work",
+    "figure8_alarms": "alarms at any boundary",
+}
+
+
+class _Comparison(NamedTuple):
+    """A comparison of the three methods: its learner, with options that are not defaults."""
+
+    learner: str
+    folder: str
+
+
+_COMPARISONS = (
+    _Comparison("td3-tqc", "ten_seeds"),
+    _Comparison("ddpg", "ten_seeds_ddpg"),
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class ReportOptions:
+    """Rebuilds REPORT.md, the summaries, the tables and the figures of a folder of results.
+
+    Attributes:
+        results: the folder, with `ten_seeds`, `ten_seeds_ddpg`, `ablations`, `network` and
+            `tuning` in it; what is missing is said in the report.
+    """
+
+    results: str = "results"
+
+
+def main(options: ReportOptions) -> int:
+    """Writes everything.
+
+    Args:
+        options: where.
+
+    Returns:
+        The exit code.
+    """
+    root = pathlib.Path(options.results)
+    if not (any(root.glob("*/config.json")) or (root / "ablations" / "runs.csv").exists()):
+        raise BadInput(f"--results {root}: holds no results")
+    try:
+        parts = [_HEAD]
+        for comparison in _COMPARISONS:
+            parts.append(_comparison(comparison, root))
+        parts += [_ablations(root / "ablations"), _map(root / _NETWORK)]
+        parts += [_tuning(root / "tuning"), _settings(root)]
+        path = root / "REPORT.md"
+        write_text_atomic(path, "\n".join(parts))
+    except ResultsError as error:
+        raise BadInput(f"--results {error}") from error
+    print(path)
+    return 0
+
+
+_HEAD = """\
+# Report
+
+Does what the paper claims hold here, by how much, and what makes it hold? Written by
+`hitl-jax report` from the data in this folder; [README.md](README.md) has what a
+program cannot say.
+
+A claim *holds* or *does not hold* by the rule in the column "to hold"; it is *not decided* where
+the interval allows both, or where it holds in some resamples of the seeds (2.5 to 97.5 %) and not
+in others. Intervals are bootstrap 95 % intervals over seeds.
+"""
+
+
+def _comparison(comparison: _Comparison, root: pathlib.Path) -> str:
+    folder = ResultsFolder(root / comparison.folder)
+    title = f"## The three methods with `--learner {comparison.learner}`\n"
+    if not folder.path.exists():
+        return f"{title}\nNot run yet.\n"
+    write_summary(folder, np.random.default_rng(stats.SEED))
+    draw_all(folder, np.random.default_rng(stats.SEED))
+    if (folder.path / alarm_figure.DATA).exists():
+        alarm_figure.draw(folder)
+    runs: dict[str, list[Run]] = {}
+    for run in folder.load_all():
+        runs.setdefault(run.key.method, []).append(run)
+    config = folder.load_config()
+    seeds = ", ".join(f"{method} {len(of)}" for method, of in runs.items())
+    commits = Counter(short_commit(run.info["commit"]) for of in runs.values() for run in of)
+    made = ", ".join(f"{commit} ({count} runs)" for commit, count in commits.items())
+    try:
+        claims = judge(Results(runs, config["hyper"]["human"]["tolerance"]))
+    except ValueError as error:
+        return f"{title}\nUnder way: {error}.\n"
+    steps = sum(run.info["env_steps"] for of in runs.values() for run in of) / 1e6
+    machines = Counter(
+        run.info.get("machine", "not recorded") for of in runs.values() for run in of
+    )
+    where = ", ".join(f"{machine} ({count} runs)" for machine, count in machines.items())
+    lost = [str(run.key) for of in runs.values() for run in of if run.diverged]
+    diverged = f"Diverged, counted as falling at once from there on: {', '.join(lost)}.\n\n"
+    name = comparison.folder
+    figures = "".join(
+        f"![{text}]({name}/figures/{stem}.png)\n"
+        for stem, text in _FIGURES.items()
+        if (folder.path / "figures" / f"{stem}.png").exists()
+    )
+    return (
+        f"{title}\nSeeds: {seeds}; {config['episodes']} training episodes and "
+        f"{config['test_episodes']} test episodes each, {steps:.1f} million environment steps of "
+        f"training. Commit {made}; machine: {where}. Options, versions, time and cost of every run "
+        f"are in `{name}`, its tables in [{name}/summary.md]({name}/summary.md).\n\n"
+        f"{diverged if lost else ''}{_claims(claims)}\n{figures}"
+    )
+
+
+def _tuning(folder: pathlib.Path) -> str:
+    title = "## Tuning\n"
+    options = TuningOptions()
+    names = " ".join(sorted(path.stem for path in folder.glob("*.json")))
+    if not names:
+        return f"{title}\nNone kept.\n"
+    seeds = f"{options.first_seed} to {options.first_seed + options.seeds - 1}"
+    return (
+        f"{title}\nA configuration is run for all three methods: seeds {seeds}, which no "
+        f"comparison above has, {options.ticks:,} ticks (steps and resets) a run, "
+        f"{options.test_episodes} autonomous test episodes. [README.md](README.md#tuning) has the "
+        f"configurations that were tried before.\n\n{tuning_table(folder, options)}"
+        f"\n    hitl-jax tuning --only {names} --out results/tuning\n"
+    )
+
+
+def _settings(root: pathlib.Path) -> str:
+    """The options of every comparison that is there."""
+    title = "## Settings\n"
+    configs = {
+        comparison.folder: flatten(ResultsFolder(root / comparison.folder).load_config())
+        for comparison in _COMPARISONS
+        if (root / comparison.folder).exists()
+    }
+    if not configs:
+        return f"{title}\nNone.\n"
+    names = list(dict.fromkeys(name for config in configs.values() for name in config))
+    lines = [["option", *configs], ["---"] * (1 + len(configs))]
+    for name in names:
+        cells = (str(config.get(name, "not there yet")) for config in configs.values())
+        lines.append([name, *cells])
+    return title + "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _claims(claims: list[Claim]) -> str:
+    rows = [["claim", "the paper", "to hold", "measured", "verdict"], ["---"] * 5]
+    rows += [[c.name, c.paper, c.aim, c.measured, f"**{c.verdict}**"] for c in claims]
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def _ablations(folder: pathlib.Path) -> str:
+    title = "## Ablations\n"
+    store = Store(folder / "runs.csv")
+    if not store.path.exists():
+        return f"{title}\nNot run yet.\n"
+    options = AblationOptions(name="all")
+    parts = [title, *_starts(options, store)]
+    for name in ABLATIONS:
+        text = write_ablation(name, options, store)
+        if text:
+            command = f"    hitl-jax ablation {name} --out results/ablations\n"
+            picture = f"![{ABLATIONS[name].title}](ablations/{name}.png)\n"
+            parts += [text.replace("# ", "### ", 1), command, picture]
+        else:
+            parts.append(f"### {ABLATIONS[name].title}\n\nNot run yet.\n")
+    return "\n".join(parts)
+
+
+def _map(path: pathlib.Path) -> str:
+    """The boundary over the state, where a network gives it."""
+    title = "## The boundary over the state, with `--boundary-source network`\n"
+    folder = ResultsFolder(path)
+    if not (path / boundary_map.DATA).exists():
+        return f"{title}\nNot run yet.\n"
+    write_summary(folder, np.random.default_rng(stats.SEED))
+    draw_all(folder, np.random.default_rng(stats.SEED))
+    boundary_map.draw(folder)
+    steps, boundary = boundary_map.told(folder)
+    config, runs = folder.load_config(), len(folder.finished())
+    hyper = config["hyper"]
+    return (
+        f"{title}\n{runs} runs of {config['episodes']} episodes; the autonomous test, "
+        f"{steps.sum():,.0f} steps. The mean boundary is "
+        f"{np.average(boundary, weights=steps):.2f} rad, of the cells from {boundary.min():.2f} to "
+        f"{boundary.max():.2f}; its bounds are {hyper['boundary_low']} and "
+        f"{hyper['boundary_high']}, it began at {hyper['initial_boundary']}, and the human's "
+        f"tolerance is {hyper['human']['tolerance']}. Tables: "
+        f"[{path.name}/summary.md]({path.name}/summary.md).\n\n"
+        f"![the boundary over hull angle and its velocity]({path.name}/figures/figure9_map.png)\n"
+    )
+
+
+def _starts(options: AblationOptions, store: Store) -> list[str]:
+    """The claims about τ_0, once every run that they need is there."""
+    lines = {(line.label, line.method): line.runs for line in lines_of(_STARTS, options, store)}
+    labels = [setting.label for setting in ABLATIONS[_STARTS].settings]
+    fixed, learned = (
+        {label: lines.get((label, method), []) for label in labels} for method in _COMPARED
+    )
+    if {len(runs) for runs in (*fixed.values(), *learned.values())} != {options.seeds}:
+        return []
+    default = next(s.label for s in ABLATIONS[_STARTS].settings if not s.changes)
+    return [_claims(judge_starts(fixed, learned, default))]

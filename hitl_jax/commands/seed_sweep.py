@@ -1,0 +1,239 @@
+"""The main job: `hitl-jax sweep`.
+
+Trains SRL, HITL-FIX and HITL-AC over a batch of seeds on Box2D's BipedalWalker-v3, tests each
+trained walker, and writes tables and Figures 4 to 6. Started again in the same folder it goes on
+where it was.
+"""
+
+import contextlib
+import dataclasses
+import os
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hitl_jax import checkpoint, figures, stats
+from hitl_jax.agent import Agent
+from hitl_jax.commands import judgements
+from hitl_jax.commands.cli import BadInput, LaunchError, checking_input
+from hitl_jax.commands.compile_cache import keep_programs
+from hitl_jax.commands.launchers import Launcher
+from hitl_jax.commands.options import SweepOptions
+from hitl_jax.commands.progress import Progress
+from hitl_jax.commands.signals import Interrupted
+from hitl_jax.commands.training import Batch, Plant, Tested, make_team, policy_digest
+from hitl_jax.envs import make_pool
+from hitl_jax.episodes import ALARM_WINDOW
+from hitl_jax.files import ResultsError, locked
+from hitl_jax.human import recorded
+from hitl_jax.results import ResultsFolder
+from hitl_jax.runs import Run
+from hitl_jax.summary import write_summary
+from hitl_jax.tables import EPISODE_COLUMNS, PROGRESS_COLUMNS, TEST_COLUMNS, to_columns
+
+FIRST_FIGURES_SECONDS = 100.0
+FIGURES_SECONDS = 300.0
+FIGURES_NICE = 10
+"""Added to the process's own: a drawing must not keep walkers waiting."""
+
+
+def main(options: SweepOptions) -> int:
+    """Runs a sweep.
+
+    Args:
+        options: what to run.
+
+    Returns:
+        The exit code: 0, 130 after Ctrl-C, or 143 after SIGTERM.
+    """
+    with contextlib.ExitStack() as held:
+        with checking_input():
+            options = options.checked()
+            dangerous = judgements.load(options.human)
+            judge = None if dangerous is None else recorded(dangerous)
+            agent = make_team(options.agent, options.human_policy, judge)
+            folder = ResultsFolder(options.out)
+            config = _config(options) | judgements.digest(dangerous)
+            if options.backend == "envpool":
+                make_pool(
+                    "envpool", 1
+                ).close()  # a missing extra is noticed before a folder is made
+            held.enter_context(options.launch.ready())
+            command = shlex.join(["hitl-jax", "sweep", *sys.argv[1:]])
+            try:
+                held.enter_context(locked(folder.path))
+                part = options.part()
+                changed = folder.create_or_resume(config, command, part and part._asdict())
+                judgements.keep(folder.path, dangerous)
+            except ResultsError as error:
+                raise BadInput(f"--out {error}") from error
+        if changed:
+            print(f"{options.out} was begun with other code: {', '.join(changed)}", flush=True)
+        keep_programs()
+        return _Sweep(options, agent, folder, config).run()
+
+
+class _Sweep:
+    """The runs that are left to do, with all that happens around them."""
+
+    def __init__(
+        self, options: SweepOptions, agent: Agent, folder: ResultsFolder, config: dict[str, Any]
+    ):
+        self._options = options
+        self._folder = folder
+        self._config = config
+        wanted = options.specs()
+        finished = folder.finished()
+        specs = [spec for spec in wanted if spec.key not in finished]
+        plant = Plant(
+            options.backend, options.slots, options.workers, options.scale().test_episodes
+        )
+        self._batch = Batch("under_way", agent, specs, options.loop, plant)
+        self._running: Sequence[Run] = []
+        self._drawing: subprocess.Popen | None = None
+        self._draw_at = time.monotonic() + FIRST_FIGURES_SECONDS
+        self._progress = Progress(
+            options.methods, len(wanted), options.scale().episodes, len(wanted) - len(specs)
+        )
+
+    def run(self) -> int:
+        """Makes the runs that the folder lacks, and draws; the exit code."""
+        launcher = self._options.launch.make(
+            self._folder.path,
+            self._options.save_seconds,
+            self._folder.finished,
+            self._progress.say,
+        )
+        try:
+            self._make(launcher)
+        except Interrupted as stop:
+            self._save_partial()
+            draw(self._folder)
+            print(
+                f"\nStopped. Figures and tables of what there is: {self._options.out}. "
+                f"{self._options.launch.goes_on}",
+                flush=True,
+            )
+            return stop.exit_code
+        except LaunchError:
+            draw(self._folder)
+            raise
+        except ResultsError as error:
+            if not self._running:
+                raise  # Nothing has begun; what the error says is what is to be done.
+            raise ResultsError(
+                f"{error}. What was finished or saved before is kept; the same command goes on"
+            ) from error
+        for line in draw(self._folder):
+            print(line)
+        return 0
+
+    def _make(self, launcher: Launcher) -> None:
+        """Trains, tests and writes every run."""
+        if self._batch.specs:
+            self._progress.say(f"results: {self._options.out}")
+        try:
+            with (
+                self._progress if self._batch.specs else contextlib.nullcontext(),
+                contextlib.closing(launcher.make([self._batch], self._show)) as made,
+            ):
+                for tested in made:
+                    self._finish(tested)
+        finally:
+            self._stop_drawing()
+
+    def _show(self, running: Sequence[Run]) -> None:
+        self._running = running
+        self._progress.show(running)
+        self._draw_now_and_then()
+
+    def _save_partial(self) -> None:
+        """Writes, for the figures, the episodes of the runs that are not finished."""
+        finished = self._folder.finished()
+        for run in self._running:
+            key = run.spec.key
+            if run.episodes and key not in finished:
+                self._folder.write_partial(key, to_columns(run.episodes, EPISODE_COLUMNS))
+
+    def _stop_drawing(self) -> None:
+        """Ends a drawing that is under way: a folder has one writer."""
+        if self._drawing is not None:
+            self._drawing.terminate()
+            self._drawing.wait()
+
+    def _finish(self, tested: Tested) -> None:
+        """Writes a trained and tested run."""
+        run, key = tested.finished.run, tested.key
+        info = {
+            "config": self._config,
+            "wall_seconds": tested.wall_seconds,
+            "env_steps": run.env_steps,
+            "updates": run.updates,
+            "diverged": run.diverged and run.diverged._asdict(),
+            "commit": tested.commit,
+            "versions": tested.versions,
+            "machine": tested.machine,
+        }
+        self._folder.save_run(
+            key,
+            to_columns(run.all_episodes(), EPISODE_COLUMNS),
+            to_columns(tested.tests, TEST_COLUMNS),
+            checkpoint.flatten(tested.finished.train, tested.finished.boundary),
+            info,
+            to_columns(tested.progress, PROGRESS_COLUMNS),
+            run.recordings,
+        )
+        self._folder.remove_partial(key)
+        self._progress.finish(run)
+        alone = [row["return"] for row in tested.tests if row["mode"] == "autonomous"]
+        self._progress.say(
+            f"finished {key.method} seed {key.seed}: {run.env_steps:,} steps, "
+            f"test return {np.mean(alone):.1f} over {len(alone)} episodes"
+            + (f"; diverged: {run.diverged}" if run.diverged else "")
+        )
+
+    def _draw_now_and_then(self) -> None:
+        """Draws in another process, of lower priority, so that training does not wait."""
+        if time.monotonic() < self._draw_at or (self._drawing and self._drawing.poll() is None):
+            return
+        self._save_partial()
+        command = [sys.executable, "-m", "hitl_jax", "figures", self._options.out]
+        self._drawing = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+        )
+        with contextlib.suppress(ProcessLookupError):  # It may have ended already.
+            os.setpriority(os.PRIO_PROCESS, self._drawing.pid, os.nice(0) + FIGURES_NICE)
+        self._draw_at = time.monotonic() + FIGURES_SECONDS
+
+
+def _config(options: SweepOptions) -> dict[str, Any]:
+    """All that defines a run's numbers besides its method and seed."""
+    return {
+        "backend": options.backend,
+        "episodes": options.scale().episodes,
+        "test_episodes": options.scale().test_episodes,
+        "alarm_window": ALARM_WINDOW,
+        "human_policy": policy_digest(options.human_policy),
+        "agent": dataclasses.asdict(options.agent),
+        "loop": dataclasses.asdict(options.loop),
+        "hyper": dataclasses.asdict(options.hyper),
+    }
+
+
+def draw(folder: ResultsFolder) -> list[Any]:
+    """Writes summary and figures.
+
+    Args:
+        folder: of results.
+
+    Returns:
+        The paths written, and notes on what could not be drawn.
+    """
+    tables = write_summary(folder, np.random.default_rng(stats.SEED))
+    paths, notes = figures.draw_all(folder, np.random.default_rng(stats.SEED))
+    return [*tables, *paths, *notes]
