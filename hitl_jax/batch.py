@@ -9,7 +9,8 @@ devices keep two cores busy better than one with two threads, since a small matr
 split well.
 
 Acting. One small program for all runs on one device, called once a tick by the host loop, or a part
-of a program for a whole chunk (`hitl_jax.stages` has both).
+of a program for a whole chunk (`hitl_jax.stages` has both). It has rows for A ≥ R runs
+(`hitl_jax.lanes`); those behind the last run mean nothing.
 
 Training states, what acting remembers, and hyperparameters are packed, a row of words for each run:
 each array of a call costs the host time, and each that a run takes and gives costs a kernel.
@@ -27,7 +28,7 @@ import numpy as np
 from jax.sharding import SingleDeviceSharding
 
 from hitl_jax import agent as agents
-from hitl_jax import replay
+from hitl_jax import lanes, replay
 from hitl_jax.acting import ActingState, init_acting
 from hitl_jax.agent import Agent
 from hitl_jax.config import RunHyper, typed
@@ -55,7 +56,7 @@ class Seats(NamedTuple):
 
 
 class Packed(NamedTuple):
-    """What acting needs of R runs' parameters.
+    """What acting needs of R runs' parameters, as they lie on the learning devices.
 
     Attributes:
         rows: packed, [R, B].
@@ -70,8 +71,8 @@ class Acting(NamedTuple):
     """Everything on an acting device, packed.
 
     Attributes:
-        state: acting states, uint32 [R, S].
-        hyper: hyperparameters, uint32 [R, H].
+        state: acting states, uint32 [A, S].
+        hyper: hyperparameters, uint32 [A, H].
     """
 
     state: chex.Array
@@ -87,7 +88,7 @@ class Programs(NamedTuple):
         seat: (seats, slot, hyper, training state as words [P]) to seats with a fresh run in `slot`;
             donates.
         seat_acting: (acting, slot, hyper, key) to acting with a fresh run in `slot`; donates.
-        act: (acting, behavior, observation [R, O], live bool [R]) to (acting, packed [R, W + 6]);
+        act: (acting, behavior, observation [A, O], live bool [A]) to (acting, packed [A, W + 6]);
             donates.
         learn: (seats, frames [R, U, W], slots int32 [R], count int32 []) to seats and `Packed`, a
             copy of what acting needs of them; donates. The first `count` of `slots` learn.
@@ -95,8 +96,8 @@ class Programs(NamedTuple):
         seat_behavior: (`Packed`, slot, row [B]) to `Packed`, for a fresh run in `slot`; donates.
         unpack_behavior: (rows of `Packed` of each device, and, where they are in the host's memory,
             any array of the device on which it shall happen) to what acting needs of all runs, one
-            device after the other.
-        boundaries: acting to the carry of each run's boundary source, [R] or [R, K].
+            device after the other, leaves [A, ...].
+        boundaries: acting to the carry of each run's boundary source, [A] or [A, K].
         unpack_train: (training states as words [R, P], slot) to that of the run in `slot`.
         restore: (seats, slot, training state as words [P], the run's column of the ring [T, W],
             value of the cursor when the run began) to seats with that run in `slot`; donates.
@@ -171,8 +172,8 @@ def empty_acting(agent: Agent, num_runs: int, device: jax.Device) -> Acting:
 
     def make() -> Acting:
         return Acting(
-            state=_rows(pack(_some_acting(agent)), num_runs),
-            hyper=_rows(pack(_SOME_HYPER), num_runs),
+            state=_rows(pack(_some_acting(agent)), lanes.full(num_runs)),
+            hyper=_rows(pack(_SOME_HYPER), lanes.full(num_runs)),
         )
 
     return jax.jit(make, out_shardings=SingleDeviceSharding(device))()
@@ -306,12 +307,14 @@ def _pack_behavior(agent: Agent, train: chex.Array) -> Packed:
 def _unpack_behavior(
     agent: Agent, packed: Sequence[chex.Array], beside: chex.Array | None = None
 ) -> Behavior:
-    """What acting needs of runs, leaves [R, ...], from arrays of some of them, [.., B]."""
+    """What acting needs of runs, leaves [A, ...], from arrays of some of them, [.., B]."""
     del beside  # It has told the device.
+    num_runs = sum(map(len, packed))
+    behind = jnp.zeros((lanes.full(num_runs) - num_runs, packed[0].shape[1]), packed[0].dtype)
     leaves, structure = jax.tree.flatten(agents.behavior(_some_train(agent)))
     ends = np.cumsum([leaf.size for leaf in leaves])
     # Split before they are joined: all is copied once.
-    parts = zip(*(jnp.split(rows, ends[:-1], axis=1) for rows in packed), strict=True)
+    parts = zip(*(jnp.split(rows, ends[:-1], axis=1) for rows in (*packed, behind)), strict=True)
     return jax.tree.unflatten(
         structure,
         [

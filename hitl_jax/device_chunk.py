@@ -1,7 +1,7 @@
 """A chunk of ticks as one program on the device: acting, walkers and all between them."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import chex
@@ -16,12 +16,12 @@ from hitl_jax.replay import Layout
 from hitl_jax.stages import Slots
 
 Act = Callable[[Any, chex.Array, chex.Array], tuple[Any, chex.Array]]
-"""From acting states, what is seen [B, O] and who takes a step, bool [B], to the next states and
-what was decided, [B, W + 6]."""
+"""From acting states, what is seen [L, O] and who takes a step, bool [L], to the next states and
+what was decided, [L, W + 6]."""
 
 
 class Moment(NamedTuple):
-    """What B walkers begin a chunk with, or end it with; `Slots` says what its fields are."""
+    """What L walkers begin a chunk with, or end it with; `Slots` says what its fields are."""
 
     active: chex.Array
     needs_reset: chex.Array
@@ -46,7 +46,7 @@ def play(
     seeds: chex.Array,
     first_left: chex.Array,
 ) -> tuple[chex.ArrayTree, chex.ArrayTree, Moment, tuple[chex.Array, ...]]:
-    """Ticks of B walkers; `walkers` may be more, which stay idle.
+    """Ticks of L walkers.
 
     Ends episodes, begins the next ones and stops what is done or not finite, by the same rules as
     the host, which books the chunk afterwards.
@@ -56,14 +56,14 @@ def play(
         layout: columns of what it decides.
         count: ticks, static.
         state: acting states.
-        walkers: leaves [L, ...], L ≥ B.
+        walkers: leaves [L, ...].
         begin: what it begins with.
-        seeds: of resets to come, uint32 [B, K].
-        first_left: episodes that a run has yet to end when the first of these is due, int32 [B].
+        seeds: of resets to come, uint32 [L, K].
+        first_left: episodes that a run has yet to end when the first of these is due, int32 [L].
 
     Returns:
         States and walkers after it, what it ends with, and of each tick what was decided
-        [U, B, W + 6], who took a step [U, B], and the fields of `StepBatch`.
+        [U, L, W + 6], who took a step [U, L], and the fields of `StepBatch`.
     """
     checked_columns = [getattr(layout, name) for name in decisions.CHECKED_COLUMNS]
 
@@ -79,8 +79,7 @@ def play(
         seed = jnp.take_along_axis(seeds, due, axis=1, mode="clip")[:, 0]
         command = jnp.where(live, Command.STEP, jnp.where(begins, Command.RESET, Command.IDLE))
         action = decided[:, layout.action]
-        walkers, step = tick(walkers, *_padded((command, action, seed), walkers))
-        step = jax.tree.map(lambda leaf: leaf[: len(live)], step)
+        walkers, step = tick(walkers, command, action, seed)
         observation = jnp.where((live | begins)[:, None], step.observation, observation)
         reward = jnp.where(live, step.reward, 0.0)
         active = active & jnp.isfinite(reward)
@@ -93,9 +92,3 @@ def play(
 
     carry, told = jax.lax.scan(one, (state, walkers, begin), None, length=count)
     return *carry, told
-
-
-def _padded(rows: Sequence[chex.Array], walkers: chex.ArrayTree) -> list[chex.Array]:
-    """Rows of B walkers with zeros behind them, one for each walker."""
-    lanes = len(jax.tree.leaves(walkers)[0])
-    return [jnp.pad(r, [(0, lanes - len(r))] + [(0, 0)] * (r.ndim - 1)) for r in rows]

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax import batch, device_chunk
+from hitl_jax import batch, device_chunk, lanes
 from hitl_jax.agent import Agent
 from hitl_jax.batch import Programs
 from hitl_jax.config import RunHyper
@@ -48,8 +48,7 @@ class DeviceStage:
         self._pool = pool
         self._programs = programs
         self._acting = [
-            batch.empty_acting(agent, block.stop - block.start, block.device)
-            for block in pool.blocks
+            batch.empty_acting(agent, pool.lanes, block.device) for block in pool.blocks
         ]
         self._behavior: list[Behavior] = []
         self._moments: list[Moment] = []
@@ -63,7 +62,8 @@ class DeviceStage:
         """See `Stage`."""
         # Not in the program of the ticks: its rounding would tell how many runs there are.
         self._behavior = [
-            self._programs.unpack_behavior([_rows_of(packed, block)]) for block in self._pool.blocks
+            self._programs.unpack_behavior([_rows_of(packed, block, self._pool.lanes)])
+            for block in self._pool.blocks
         ]
 
     def ticks(self, slots: Slots, finite: np.ndarray, count: int) -> Iterator[Tick]:
@@ -73,7 +73,8 @@ class DeviceStage:
         given = *begins_with(slots), finite
         parts, boundaries, moments = [], [], []
         for index, block in enumerate(self._pool.blocks):
-            rows = jax.tree.map(lambda leaf, block=block: leaf[block.start : block.stop], given)
+            own = slice(block.start, block.stop)
+            rows = jax.tree.map(lambda a, own=own: lanes.filled(a[own], self._pool.lanes), given)
             begin, *others = jax.device_put(rows, block.device)
             acting, walkers = self._acting[index], self._pool.walkers[index]
             state, self._pool.walkers[index], moment, ticks = self._play(
@@ -98,12 +99,11 @@ class DeviceStage:
     ) -> Iterator[Tick]:
         """Waits for a chunk's ticks, and gives them."""
         told = [
-            leaves[0] if len(leaves) == 1 else np.concatenate(leaves, axis=1)
-            for leaves in zip(*jax.device_get(parts), strict=True)
+            self._of_runs(leaves, axis=1) for leaves in zip(*jax.device_get(parts), strict=True)
         ]
         for decided, live, *played in zip(*told, strict=True):
             yield _DeviceTick(decided, StepBatch(*played), live)
-        self._boundaries = np.concatenate(jax.device_get(boundaries))
+        self._boundaries = self._of_runs(jax.device_get(boundaries))
         self._unbooked -= 1
 
     def seat(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
@@ -114,7 +114,7 @@ class DeviceStage:
 
     def words(self) -> np.ndarray:
         """See `Stage`."""
-        return np.concatenate([np.asarray(acting.state) for acting in self._acting])
+        return self._of_runs([np.asarray(acting.state) for acting in self._acting])
 
     def restore(self, slot: int, words: np.ndarray) -> None:
         """See `Stage`."""
@@ -126,7 +126,16 @@ class DeviceStage:
         if self._unbooked:
             assert self._boundaries is not None
             return self._boundaries
-        return np.concatenate([np.asarray(self._programs.boundaries(a)) for a in self._acting])
+        return self._of_runs([np.asarray(self._programs.boundaries(a)) for a in self._acting])
+
+    def _of_runs(self, parts: Sequence[np.ndarray], axis: int = 0) -> np.ndarray:
+        """One array of all runs from those of the blocks, whose axis has a row for each lane."""
+        before = (slice(None),) * axis
+        own = [
+            part[*before, : block.stop - block.start]
+            for part, block in zip(parts, self._pool.blocks, strict=True)
+        ]
+        return own[0] if len(own) == 1 else np.concatenate(own, axis)
 
     def _place(self, slot: int) -> tuple[int, int]:
         """The block of a slot and its row there."""
@@ -136,8 +145,11 @@ class DeviceStage:
         raise IndexError(slot)
 
 
-def _rows_of(packed: Sequence[jax.Array], block: Block) -> jax.Array:
-    """A block's rows of parameters that lie on the learning devices, on the block's device."""
+def _rows_of(packed: Sequence[jax.Array], block: Block, count: int) -> jax.Array:
+    """A block's rows of parameters that lie on the learning devices, on the block's device.
+
+    Those behind them, up to `count`, are zeros.
+    """
     parts, begin = [], 0
     for rows in packed:
         start, stop = max(block.start - begin, 0), min(block.stop - begin, len(rows))
@@ -145,7 +157,9 @@ def _rows_of(packed: Sequence[jax.Array], block: Block) -> jax.Array:
             part = rows if (start, stop) == (0, len(rows)) else rows[start:stop]
             parts.append(jax.device_put(part, block.device))
         begin += len(rows)
-    return parts[0] if len(parts) == 1 else jnp.concatenate(parts)
+    behind = count - (block.stop - block.start)
+    parts.append(jnp.zeros((behind, *parts[0].shape[1:]), parts[0].dtype, device=block.device))
+    return jnp.concatenate(parts)
 
 
 def _play(
@@ -160,19 +174,19 @@ def _play(
     first_left: chex.Array,
     finite: chex.Array,
 ) -> tuple[chex.ArrayTree, chex.ArrayTree, Moment, tuple[chex.Array, ...]]:
-    """A chunk of ticks of B runs; see `device_chunk.play`.
+    """A chunk of ticks of runs on L lanes; see `device_chunk.play`.
 
     Args:
         agent: the team.
         count: ticks, static.
-        state: acting states as words, [B, S].
-        hyper: hyperparameters as words, [B, H].
-        walkers: leaves [L, ...], L ≥ B.
-        behavior: what acting needs of the parameters, leaves [B, ...].
+        state: acting states as words, [L, S].
+        hyper: hyperparameters as words, [L, H].
+        walkers: leaves [L, ...].
+        behavior: what acting needs of the parameters, leaves [L, ...].
         begin: what it begins with.
-        seeds: of resets to come, uint32 [B, K].
-        first_left: episodes left when the first of these is due, int32 [B].
-        finite: whether a run's parameters are, bool [B].
+        seeds: of resets to come, uint32 [L, K].
+        first_left: episodes left when the first of these is due, int32 [L].
+        finite: whether a run's parameters are, bool [L].
     """
     runs = jax.vmap(functools.partial(batch.act_packed, agent))
 

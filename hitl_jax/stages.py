@@ -12,7 +12,7 @@ import chex
 import jax
 import numpy as np
 
-from hitl_jax import batch
+from hitl_jax import batch, lanes
 from hitl_jax.agent import Agent
 from hitl_jax.batch import Programs
 from hitl_jax.config import RunHyper
@@ -153,6 +153,7 @@ class HostStage:
         self._action = agent.layout.action
         self._device = acting_device()
         self._acting = batch.empty_acting(agent, pool.num_walkers, self._device)
+        self._rows = len(self._acting.state)
 
     def prepare(self, packed: list[jax.Array]) -> None:
         """See `Stage`."""
@@ -164,10 +165,12 @@ class HostStage:
         """See `Stage`."""
         del finite  # What the host has ended is not live.
         for _ in range(count):
-            self._acting, packed = self._programs.act(
-                self._acting, self._behavior, slots.observation, slots.live
+            seen, live = (
+                lanes.filled(rows, self._rows) for rows in (slots.observation, slots.live)
             )
-            yield _HostTick(np.asarray(packed), self._pool, slots, self._action)
+            self._acting, packed = self._programs.act(self._acting, self._behavior, seen, live)
+            decided = np.asarray(packed)[: self._pool.num_walkers]
+            yield _HostTick(decided, self._pool, slots, self._action)
 
     def seat(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
         """See `Stage`."""
@@ -176,7 +179,7 @@ class HostStage:
 
     def words(self) -> np.ndarray:
         """See `Stage`."""
-        return np.asarray(self._acting.state)
+        return np.asarray(self._acting.state)[: self._pool.num_walkers]
 
     def restore(self, slot: int, words: np.ndarray) -> None:
         """See `Stage`."""
@@ -184,4 +187,4 @@ class HostStage:
 
     def boundaries(self) -> np.ndarray:
         """See `Stage`."""
-        return np.asarray(self._programs.boundaries(self._acting))
+        return np.asarray(self._programs.boundaries(self._acting))[: self._pool.num_walkers]

@@ -82,13 +82,13 @@ def _programs(device):
     packed = jax.eval_shape(lambda a: programs.pack_behavior(a).rows, _train(agent))
     behavior = like(jax.eval_shape(programs.unpack_behavior, [packed]))
     begin = Moment(
-        active=of((_RUNS,), jnp.bool_),
-        needs_reset=of((_RUNS,), jnp.bool_),
-        left=of((_RUNS,), jnp.int32),
-        observation=of((_RUNS, agent.layout.observation_size)),
+        active=of((_LANES,), jnp.bool_),
+        needs_reset=of((_LANES,), jnp.bool_),
+        left=of((_LANES,), jnp.int32),
+        observation=of((_LANES, agent.layout.observation_size)),
     )
     chunk = jax.jit(functools.partial(device_stage._play, agent, _TICKS))
-    rest = of((_RUNS, _TICKS + 1), jnp.uint32), begin.left, begin.active
+    rest = of((_LANES, _TICKS + 1), jnp.uint32), begin.left, begin.active
     return {
         "a tick": compiled(jax_pool.tick, walkers(hardcore=False), *step),
         "a tick on hardcore terrain": compiled(jax_pool.tick, walkers(hardcore=True), *step),

@@ -170,3 +170,32 @@ def test_keys_come_from_method_and_seed():
     keys = [batch.run_keys(seed, method) for seed in range(3) for method in range(3)]
     data = {tuple(jax.random.key_data(key).tolist()) for three in keys for key in three}
     assert len(data) == 27
+
+
+def _act(runs):
+    """What runs that act side by side decide and remember after each of five ticks."""
+    agent, programs = _AGENT, batch.make_programs(_AGENT, _UPDATES, 1)
+    keys = [batch.run_keys(run, 0) for run in runs]
+    acting = batch.empty_acting(agent, len(runs), cpu_device("acting", own_thread=False))
+    for slot, (run, (_, key, _)) in enumerate(zip(runs, keys, strict=True)):
+        key = jax.device_put(key, acting.state.device)
+        acting = programs.seat_acting(acting, slot, _hyper(run), key)
+    rows = np.stack([programs.begin(key)[1] for key, *_ in keys])
+    behavior = programs.unpack_behavior([rows], acting.hyper)
+    told = {run: [] for run in runs}
+    for tick in range(5):
+        seen = np.zeros((len(acting.state), 24), np.float32)
+        for slot, run in enumerate(runs):
+            seen[slot] = np.random.default_rng((run, tick)).normal(size=24)
+        acting, decided = programs.act(acting, behavior, seen, np.ones(len(seen), bool))
+        for slot, run in enumerate(runs):
+            told[run] += [np.asarray(acting.state)[slot], np.asarray(decided)[slot]]
+    return told
+
+
+def test_who_acts_beside_a_run_does_not_change_a_bit():
+    """Nor how many do, nor its place among them."""
+    many = _act(range(50))
+    for runs in ([3], [3, 4, 7], range(16), range(17), range(33), range(49, -1, -1)):
+        for run, told in _act(runs).items():
+            jax.tree.map(np.testing.assert_array_equal, told, many[run])

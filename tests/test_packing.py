@@ -84,4 +84,4 @@ def test_the_boundary_of_every_run_is_read_back():
     hyper = typed(RunHyper(initial_boundary=0.25))
     acting = programs.seat_acting(acting, 1, hyper, make_key(0))
     default = RunHyper().initial_boundary
-    np.testing.assert_allclose(programs.boundaries(acting), [default, 0.25, default])
+    np.testing.assert_allclose(programs.boundaries(acting)[:3], [default, 0.25, default])

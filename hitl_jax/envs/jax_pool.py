@@ -8,16 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax import walker
+from hitl_jax import lanes, walker
 from hitl_jax.devices import walker_devices
 from hitl_jax.envs.base import CheckedPool, Command, StepBatch
 from hitl_jax.keys import make_key
 from hitl_jax.walker import Step, Walker
 from hitl_jax.walker.kernel import on_gpu
 
-_LANES = 16
-"""Walkers of a block are a multiple of this: XLA rounds otherwise where a vector register is not
-full, and an episode's numbers would tell how many walkers there were."""
 _MOST_LANES = 512
 """More walkers at once do not fit into a core's cache."""
 
@@ -42,6 +39,7 @@ class JaxPool(CheckedPool):
     Attributes:
         blocks: of walkers.
         walkers: of each block, leaves [L, ...]; those behind the block's own are never begun.
+        lanes: L, see `hitl_jax.lanes`.
     """
 
     seedable = True
@@ -55,7 +53,7 @@ class JaxPool(CheckedPool):
             hardcore: whether their terrain has stumps, stairs and pits.
         """
         super().__init__(num_walkers, walker.OBSERVATION_SIZE, walker.ACTION_SIZE)
-        devices = walker_devices(min(num_devices, math.ceil(num_walkers / _LANES)))
+        devices = walker_devices(min(num_devices, math.ceil(num_walkers / lanes.full(1))))
         cpu = devices[0].platform == "cpu"
         needed = math.ceil(num_walkers / _MOST_LANES) if cpu else 1
         share = math.ceil(num_walkers / (math.ceil(needed / len(devices)) * len(devices)))
@@ -64,24 +62,19 @@ class JaxPool(CheckedPool):
             Block(devices[index % len(devices)], start, min(start + share, num_walkers))
             for index, start in enumerate(starts)
         ]
-        self._lanes = math.ceil(share / _LANES) * _LANES
-        self.walkers = [_waiting(self._lanes, block.device, hardcore) for block in self.blocks]
+        self.lanes = lanes.full(share)
+        self.walkers = [_waiting(self.lanes, block.device, hardcore) for block in self.blocks]
         self._steps: list[Step] = []
         self._observation = np.zeros((num_walkers, self.observation_size), np.float32)
 
     def _start(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> None:
         self._steps = []
         for index, block in enumerate(self.blocks):
-            rows = [self._padded(a[block.start : block.stop]) for a in (command, action, seed)]
+            own = slice(block.start, block.stop)
+            rows = [lanes.filled(a[own], self.lanes) for a in (command, action, seed)]
             given = jax.device_put(rows, block.device)
             self.walkers[index], step = tick(self.walkers[index], *given)
             self._steps.append(step)
-
-    def _padded(self, rows: np.ndarray) -> np.ndarray:
-        """A block's rows and zeros for the walkers behind them, which stay idle."""
-        return np.concatenate(
-            [rows, np.zeros((self._lanes - len(rows), *rows.shape[1:]), rows.dtype)]
-        )
 
     def _finish(self, command: np.ndarray) -> StepBatch:
         told = [
