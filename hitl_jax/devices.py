@@ -3,10 +3,10 @@
 import functools
 import os
 import sys
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
-from jaxlib import xla_client
 
 from hitl_jax.envs import num_cores
 
@@ -24,7 +24,7 @@ def learning_devices() -> tuple[jax.Device, ...]:
     """
     if jax.default_backend() != "cpu":
         return tuple(jax.local_devices())
-    asked: int = jax.config.jax_num_cpu_devices  # type: ignore[attr-defined]
+    asked: int = jax.config.jax_num_cpu_devices
     cores = asked if asked > 0 else num_cores()
     return tuple(cpu_device(f"learner {core}", _LEARNER_NICE) for core in range(cores))
 
@@ -71,6 +71,9 @@ def cpu_device(name: str, nice: int = 0, own_thread: bool = True) -> jax.Device:
     core and from cache to cache: the learner of 30 runs takes 1.3 to 1.4 times as long. So each
     device here is the only one of a client, with one thread.
 
+    The name that makes a client is not public in JAX. A JAX without it gives its own CPU device,
+    whatever the name, and a warning: slower, and rounded otherwise.
+
     Where threads can have priorities (Linux), those of the learner let others go first: acting and
     walkers are waited for at every tick, the learner has a chunk or two in hand.
 
@@ -91,7 +94,15 @@ def _start(nice: int, own_thread: bool) -> jax.Device:
     before = os.environ.get("NPROC")
     os.environ["NPROC"] = "1"  # where XLA's CPU client looks up how many threads to start
     try:
-        client = xla_client.make_cpu_client(asynchronous=own_thread, num_devices=1)
+        from jaxlib.xla_client import make_cpu_client
+
+        client = make_cpu_client(asynchronous=own_thread, num_devices=1)
+    except (ImportError, TypeError):
+        warnings.warn(
+            f"JAX {jax.__version__} gives no device threads of its own: learning takes longer",
+            stacklevel=1,
+        )
+        return jax.local_devices(backend="cpu")[0]
     finally:
         del os.environ["NPROC"]
         if before is not None:

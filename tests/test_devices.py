@@ -6,6 +6,7 @@ import sys
 
 import jax
 import pytest
+from jaxlib import xla_client
 
 from hitl_jax import devices
 
@@ -33,3 +34,14 @@ def test_an_accelerator_learns_many_runs_together_and_a_cpu_one_by_one(monkeypat
     assert devices.default_tile() == 1
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert devices.default_tile() > 1
+
+
+@pytest.mark.parametrize("change", ["gone", "other arguments"])
+def test_a_jax_without_clients_of_our_own_gives_its_cpu(monkeypatch, change):
+    if change == "gone":
+        monkeypatch.delattr(xla_client, "make_cpu_client")
+    else:
+        monkeypatch.setattr(xla_client, "make_cpu_client", lambda: None)
+    with pytest.warns(UserWarning, match="gives no device threads of its own"):
+        device = devices.cpu_device(f"test of {change}")
+    assert device == jax.local_devices(backend="cpu")[0]
