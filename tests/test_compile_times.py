@@ -1,0 +1,57 @@
+"""No program of ours takes long to compile, with the optimisations that users have."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+_MOST_SECONDS = 30.0
+
+_SCRIPT = """
+import json, sys
+import jax
+from hitl_jax.__main__ import main
+took = {}
+def note(event, seconds, fun_name="?", **_):
+    if event.endswith("/backend_compile_duration"):
+        took[fun_name] = max(seconds, took.get(fun_name, 0.0))
+jax.monitoring.register_event_duration_secs_listener(note)
+"""
+
+_SWEEP = """
+few = "--seeds 1 --episodes 1 --test-episodes 1 --warmup-steps 64 --capacity 256 --backend {}"
+assert main(["sweep", *few.split(), "--out", sys.argv[1]]) == 0
+"""
+
+_HARDCORE = """
+import numpy as np
+from hitl_jax.envs import HARDCORE_WALKER, Command, make_pool
+with make_pool("jax", 1, env_id=HARDCORE_WALKER) as pool:
+    pool.step(np.array([Command.RESET]), np.zeros((1, 4)), np.zeros(1))
+"""
+
+_WORK = {
+    "host": (_SWEEP.format("lean"), {"act_packed", "_learn_all", "begin"}),
+    "device": (_SWEEP.format("jax"), {"_play", "_learn_all", "begin"}),
+    "hardcore": (_HARDCORE, {"tick", "_made"}),
+}
+
+
+@pytest.mark.parametrize("kind", _WORK)
+def test_every_program_compiles_soon(kind, tmp_path):
+    work, expected = _WORK[kind]
+    environment = {**os.environ, "JAX_ENABLE_COMPILATION_CACHE": "false"}
+    del environment["JAX_DISABLE_MOST_OPTIMIZATIONS"]
+    done = subprocess.run(
+        [sys.executable, "-c", f"{_SCRIPT}{work}\nprint(json.dumps(took))", str(tmp_path / "out")],
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    took = json.loads(done.stdout.splitlines()[-1])
+    assert expected <= set(took), sorted(took)
+    slow = {name: round(seconds, 1) for name, seconds in took.items() if seconds > _MOST_SECONDS}
+    assert not slow, f"seconds to compile: {slow}"
