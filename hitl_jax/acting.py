@@ -9,7 +9,7 @@ from flax import struct
 
 from hitl_jax import arbiter, boundary, human_actions
 from hitl_jax.agent import Agent
-from hitl_jax.config import RunHyper
+from hitl_jax.config import RunHyper, as_float32, traced
 from hitl_jax.types import Behavior, Params
 
 
@@ -81,7 +81,7 @@ def init_acting(agent: Agent, hyper: RunHyper, key: chex.PRNGKey) -> ActingState
         key=key,
         steps=jnp.zeros((), jnp.int32),
         episodes=jnp.zeros((), jnp.int32),
-        noise=jnp.zeros((agent.config.action_size,)),
+        noise=jnp.zeros((agent.config.action_size,), jnp.float32),
         boundary=source.init(initial),
         human=agent.human.init(),
         source=agent.source.init(),
@@ -121,17 +121,18 @@ def act(
         The next acting state and the decision.
     """
     chex.assert_shape(observation, (agent.config.observation_size,))
+    hyper, observation = traced(hyper), as_float32(observation)
     key, noise_key, warmup_key, boundary_key, human_key, source_key = jax.random.split(state.key, 6)
 
     noise, machine_action = _explore(agent, hyper, params.actor, state, observation, noise_key)
-    random_action = jax.random.uniform(warmup_key, machine_action.shape, minval=-1.0, maxval=1.0)
+    random_action = jax.random.uniform(warmup_key, machine_action.shape, jnp.float32, -1.0, 1.0)
     machine_action = jnp.where(state.steps < hyper.warmup_steps, random_action, machine_action)
 
     boundary_now = _boundary(agent, hyper, params.boundary_actor, state, observation, boundary_key)
     human_state, dangerous = agent.human.judge(
         state.human, hyper.human, observation, jnp.zeros((), bool), human_key
     )
-    indicator = agent.indicator(observation)
+    indicator = as_float32(agent.indicator(observation))
     alarmed = boundary.alarm(indicator, boundary_now) & (hyper.has_arbiter > 0)
     after = following(hyper, boundary_now, alarmed, dangerous)
 
@@ -160,7 +161,7 @@ def act(
     source_state, human_action = hands.act(state.source, observation, source_key)
 
     decision = Decision(
-        action=jnp.where(ruling.human_action, human_action, machine_action),
+        action=jnp.where(ruling.human_action, as_float32(human_action), machine_action),
         control=ruling.control,
         began=ruling.began,
         human_action=ruling.human_action,
@@ -212,7 +213,7 @@ def _explore(
 ) -> tuple[chex.Array, chex.Array]:
     """The next noise [A] and μ(s_t) plus that noise, [A]."""
     rho = hyper.noise_correlation
-    fresh = jax.random.normal(key, state.noise.shape)
+    fresh = jax.random.normal(key, state.noise.shape, jnp.float32)
     noise = rho * state.noise + jnp.sqrt(1.0 - rho**2) * fresh
     every = hyper.noise_free_every
     noise_free = (every > 0) & (state.episodes % jnp.maximum(every, 1) == 0)
@@ -230,7 +231,7 @@ def _boundary(
     key: chex.PRNGKey,
 ) -> chex.Array:
     """τ_t (line 6): from the boundary source where it is learned, τ_0 where it is fixed."""
-    noise = hyper.boundary_noise * jax.random.normal(key, ())
+    noise = hyper.boundary_noise * jax.random.normal(key, (), jnp.float32)
     network = agent.network_boundary(hyper, actor, observation) + noise
     learned = boundary.get_source(agent.config.boundary_source).boundary(state.boundary, network)
     learned = jnp.clip(learned, hyper.boundary_low, hyper.boundary_high)

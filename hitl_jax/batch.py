@@ -348,7 +348,7 @@ def _learn_all(
 
     def learn_tile(index: chex.Array, train: chex.Array) -> chex.Array:
         chosen = jax.lax.dynamic_slice_in_dim(padded, index * tile, tile)
-        filled = index * tile + jnp.arange(tile) < count
+        filled = index * tile + jnp.arange(tile, dtype=jnp.int32) < count
         chosen = jnp.where(filled, chosen, chosen[0])
         states = jax.vmap(functools.partial(unpack, like))(train[chosen])
         after = jax.vmap(learn)(hyper[chosen], states, chosen)
@@ -365,7 +365,7 @@ def _take(like: chex.ArrayTree, words: chex.Array, slot: chex.Array) -> chex.Arr
     """One row of words [R, P], unpacked, each piece read by itself: all is copied once."""
     pieces, place = [], 0
     for size in piece_sizes(like):
-        pieces.append(jax.lax.dynamic_slice(words, (slot, place), (1, size))[0])
+        pieces.append(jax.lax.dynamic_slice(words, (slot, jnp.int32(place)), (1, size))[0])
         place += size
     return from_pieces(like, pieces)
 
@@ -378,7 +378,7 @@ def _give(words: chex.Array, slot: chex.Array, tree: chex.ArrayTree) -> chex.Arr
     """
     place = 0
     for piece in to_pieces(tree):
-        words = jax.lax.dynamic_update_slice(words, piece[None], (slot, place))
+        words = jax.lax.dynamic_update_slice(words, piece[None], (slot, jnp.int32(place)))
         place += piece.size
     return words
 

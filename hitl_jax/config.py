@@ -8,7 +8,9 @@ import dataclasses
 import enum
 import math
 
+import chex
 import jax
+import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
@@ -200,6 +202,20 @@ def typed(hyper: RunHyper) -> RunHyper:
         return np.asarray(value, np.int32 if isinstance(default, int) else np.float32)
 
     return jax.tree.map(cast, RunHyper(), hyper)
+
+
+def traced(hyper: RunHyper) -> RunHyper:
+    """The same as arrays of the types of `typed`, whatever JAX would make of a caller's numbers."""
+
+    def cast(default: float, value: chex.Numeric) -> chex.Array:
+        return jnp.asarray(value, jnp.int32 if isinstance(default, int) else jnp.float32)
+
+    return jax.tree.map(cast, RunHyper(), hyper)
+
+
+def as_float32(tree: chex.ArrayTree) -> chex.ArrayTree:
+    """Arrays of a caller's in the type of all arithmetic here, whatever JAX is configured to."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), tree)
 
 
 def hyper_for(method: Method, hyper: Hyper) -> RunHyper:

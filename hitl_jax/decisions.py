@@ -45,7 +45,7 @@ def act_or_begin(
     begun = begin_episode(agent, state)
     state = jax.tree.map(functools.partial(jnp.where, live), stepped, begun)
     zero = jnp.zeros((), jnp.float32)
-    scalars = [zero, zero, zero, 1.0 - live, decision.boundary, decision.next_boundary]
+    scalars = [zero, zero, zero, jnp.float32(1.0) - live, decision.boundary, decision.next_boundary]
     scalars += [decision.boundary_reward, *(getattr(decision, name) for name in EXTRA_COLUMNS)]
     tail = jnp.stack([jnp.asarray(value, jnp.float32) for value in scalars])
     return state, jnp.concatenate([observation, decision.action, tail])

@@ -11,7 +11,7 @@ import numpy as np
 from hitl_jax import batch, decisions
 from hitl_jax.acting import ActingState, init_acting
 from hitl_jax.agent import Agent, behavior
-from hitl_jax.config import Method, RunHyper
+from hitl_jax.config import Method, RunHyper, typed
 from hitl_jax.devices import acting_device
 from hitl_jax.envs import Command, WalkerPool
 from hitl_jax.episode_log import EpisodeLog
@@ -130,7 +130,7 @@ class Evaluator:
         Returns:
             A row for each episode, policy after policy.
         """
-        hyper = frozen(hyper, human_present=mode == "assisted")
+        hyper = typed(frozen(hyper, human_present=mode == "assisted"))
         # Committed to the acting device, the programs run there, a GPU or not.
         placed, params, key = jax.device_put((hyper, params, key), acting_device())
         state = _init(self._agent, placed, boundary, key, np.arange(seeds.shape[1]))

@@ -344,9 +344,9 @@ def outcome_dangerous(fell: chex.Array, k: chex.Numeric) -> chex.Array:
         Whether s_t was dangerous, bool [T].
     """
     chex.assert_rank(fell, 1)
-    falls_before = jnp.append(0, jnp.cumsum(jnp.asarray(fell, jnp.int32)))
+    falls_before = jnp.append(jnp.int32(0), jnp.cumsum(fell, dtype=jnp.int32))
     num_steps = fell.shape[0]
-    start = jnp.arange(num_steps)
+    start = jnp.arange(num_steps, dtype=jnp.int32)
     end = jnp.clip(start + k, start, num_steps)
     return falls_before[end] > falls_before[start]
 

@@ -112,7 +112,7 @@ def target_quantiles(
     for _ in range(num_dropped):  # A sort would take longer.
         left = kept & (pooled < jnp.max(pooled, axis=0, where=kept, initial=-jnp.inf))
         kept = jnp.where(jnp.any(left, axis=0), left, kept)  # All may be equal.
-    weight = kept / jnp.sum(kept, axis=0)
+    weight = kept / jnp.sum(kept, axis=0, dtype=jnp.float32)
     return Atoms(*jax.lax.stop_gradient((reward + discount * pooled, weight)))
 
 
@@ -136,7 +136,7 @@ def quantile_loss(
     quantiles = apply(critic, transition.observation, transition.action)
     chex.assert_rank([quantiles, target.value], [3, 2])
     count = quantiles.shape[-1]
-    level = (jnp.arange(count) + 0.5) / count
+    level = (jnp.arange(count, dtype=jnp.float32) + 0.5) / count
     each = jnp.zeros_like(quantiles)
     for place in range(len(target.value)):
         # Term by term: to sum over an axis, XLA would first write all of [E, M, B, Q].
