@@ -30,7 +30,7 @@ from hitl_jax import agent as agents
 from hitl_jax import replay
 from hitl_jax.acting import ActingState, init_acting
 from hitl_jax.agent import Agent
-from hitl_jax.config import RunHyper, typed
+from hitl_jax.config import MOST_SEED, RunHyper, require_whole, typed
 from hitl_jax.decisions import act_or_begin
 from hitl_jax.keys import make_key
 from hitl_jax.packing import from_pieces, pack, piece_sizes, to_pieces, unpack
@@ -125,7 +125,12 @@ def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, 
     Args:
         seed: in [0, 2³²).
         method_index: see `hitl_jax.runs.method_index`.
+
+    Raises:
+        ValueError: one line, for a number out of range.
     """
+    require_whole("seed", seed, at_most=MOST_SEED)
+    require_whole("method_index", method_index)
     # As one program: operation by operation, the keys of a thousand runs take half a minute.
     return _run_keys(np.uint32(seed), np.uint32(method_index))
 

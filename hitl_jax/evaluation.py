@@ -26,6 +26,9 @@ Watch = Callable[[np.ndarray, np.ndarray], None]
 """Called before each step of a test with what was decided, a frame and flags of `decisions`,
 [N, W + 6], and which walkers take the step, bool [N]."""
 
+MOST_TEST_EPISODES = 10_000
+"""Of one test: the host's examiner has a walker for each."""
+
 _PARTS = 5
 _TESTS = 3
 """Of a run at most: alone, assisted, and its snapshots."""

@@ -163,14 +163,14 @@ def summarise_run(run: Run) -> Row:
         "alarm_agreement": _ratio(
             episodes["true_alarms"], episodes["true_alarms"] + episodes["false_alarms"]
         ),
-        "final_boundary": _last(episodes["final_boundary"]),
+        "final_boundary": _known(_last(episodes["final_boundary"])),
         "diverged": int(run.diverged),
         "wall_seconds": run.info["wall_seconds"],
     }
     for mark in THRESHOLDS:
         passage = stats.first_passage(trailing, mark, WINDOW)
         row[f"episodes_to_{mark}"] = passage
-        row[f"steps_to_{mark}"] = passage and int(episodes["env_steps"][passage - 1])
+        row[f"steps_to_{mark}"] = passage and int(episodes["env_steps"][int(passage) - 1])
     row |= _alarms_before_falls(autonomous)
     return {name: row[name] for name in SUMMARY_COLUMNS}
 
@@ -284,5 +284,9 @@ def _ratio(part: np.ndarray, whole: np.ndarray) -> float | None:
 
 
 def _last(values: np.ndarray) -> Any:
-    last = values[-1].item() if len(values) else None
-    return None if last != last else last  # NaN alone differs from itself
+    return values[-1].item() if len(values) else None
+
+
+def _known(value: Any) -> Any:
+    """None for the NaN that stands in a table where there is no boundary."""
+    return None if value != value else value  # NaN alone differs from itself.

@@ -100,7 +100,8 @@ def prepare(body: Pose, angle: jax.Array, speed: jax.Array, torque: jax.Array) -
     """
     arm_a, arm_b = _turned(body, _A, _ANCHOR_A), _turned(body, _B, _ANCHOR_B)
     now = angles(angle)
-    side = jnp.where(now <= _LOWER, np.float32(1.0), jnp.where(now >= _UPPER, -1.0, np.float32(0.0)))
+    beyond = jnp.where(now >= _UPPER, np.float32(-1.0), 0.0)
+    side = jnp.where(now <= _LOWER, 1.0, beyond)
     xx, xy, yy = _point_matrix(arm_a, arm_b)
     coupling = Vec(
         -arm_a.y * _INERTIA_A - arm_b.y * _INERTIA_B, arm_a.x * _INERTIA_A + arm_b.x * _INERTIA_B

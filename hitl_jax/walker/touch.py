@@ -256,7 +256,8 @@ def forward(manifold: Manifold, leading: jax.Array | bool = False) -> Manifold:
     taken = jnp.zeros_like(slot[0])
     for group in groups:
         members = group.astype(jnp.int32)
-        slot = jnp.where(group, taken + jnp.cumsum(members, axis=0, dtype=jnp.int32) - members, slot)
+        before = jnp.cumsum(members, axis=0, dtype=jnp.int32) - members
+        slot = jnp.where(group, taken + before, slot)
         taken = taken + members.sum(0, dtype=jnp.int32)
     slot = once(slot)
 
