@@ -7,10 +7,12 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from hitl_jax import arbiter, boundary, human_actions
+from hitl_jax import arbiter, boundary, human_actions, states
 from hitl_jax.agent import Agent
 from hitl_jax.config import RunHyper, as_float32, traced
 from hitl_jax.types import Behavior, Params
+
+_HUMAN, _SOURCE = "the human", "the human's actions"
 
 
 @struct.dataclass
@@ -83,8 +85,8 @@ def init_acting(agent: Agent, hyper: RunHyper, key: chex.PRNGKey) -> ActingState
         episodes=jnp.zeros((), jnp.int32),
         noise=jnp.zeros((agent.config.action_size,), jnp.float32),
         boundary=source.init(initial),
-        human=agent.human.init(),
-        source=agent.source.init(),
+        human=states.begun(_HUMAN, agent.human.init()),
+        source=states.begun(_SOURCE, agent.source.init()),
         arbiter=arbiter.init(),
     )
 
@@ -95,8 +97,8 @@ def begin_episode(agent: Agent, state: ActingState) -> ActingState:
         state,
         episodes=state.episodes + 1,
         noise=jnp.zeros_like(state.noise),
-        human=agent.human.begin_episode(state.human),
-        source=agent.source.begin_episode(state.source),
+        human=states.kept(_HUMAN, agent.human.begin_episode(state.human), state.human),
+        source=states.kept(_SOURCE, agent.source.begin_episode(state.source), state.source),
         arbiter=arbiter.init(),
     )
 
@@ -132,6 +134,7 @@ def act(
     human_state, dangerous = agent.human.judge(
         state.human, hyper.human, observation, jnp.zeros((), bool), human_key
     )
+    dangerous = jnp.asarray(dangerous, bool)
     indicator = as_float32(agent.indicator(observation))
     alarmed = boundary.alarm(indicator, boundary_now) & (hyper.has_arbiter > 0)
     after = following(hyper, boundary_now, alarmed, dangerous)
@@ -178,8 +181,12 @@ def act(
         episodes=state.episodes,
         noise=noise,
         boundary=carry,
-        human=agent.human.notify(human_state, hyper.human, ruling.began, ruling.control),
-        source=source_state,
+        human=states.kept(
+            _HUMAN,
+            agent.human.notify(human_state, hyper.human, ruling.began, ruling.control),
+            state.human,
+        ),
+        source=states.kept(_SOURCE, source_state, state.source),
         arbiter=arbiter_state,
     )
     return state, decision

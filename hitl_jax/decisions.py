@@ -15,8 +15,9 @@ from hitl_jax.types import Behavior
 EXTRA_COLUMNS = ("control", "began", "human_action", "human_reset", "alarmed", "dangerous")
 """Columns of a packed decision behind those of the frame, in this order; each 0 or 1."""
 
-CHECKED_COLUMNS = ("observation", "action", "boundary")
-"""Of what was decided; a run ends where one of them is not finite."""
+CHECKED_COLUMNS = ("action", "boundary")
+"""Of what was decided; a run ends where one of them is not finite. (An observation is looked at as
+it comes.)"""
 
 
 def act_or_begin(

@@ -28,7 +28,8 @@ UNLIMITED = 2**31 - 1
 """A budget of interventions that no run uses up: the greatest int32."""
 
 State = Any
-"""What a part remembers: a pytree of arrays."""
+"""What a part remembers: a pytree of arrays, or of plain numbers at first; see
+`hitl_jax.states`."""
 
 
 @struct.dataclass

@@ -12,7 +12,8 @@ from flax import struct
 from hitl_jax.types import Params
 
 State = Any
-"""What a source remembers: a pytree of arrays."""
+"""What a source remembers: a pytree of arrays, or of plain numbers at first; see
+`hitl_jax.states`."""
 
 
 class ActionSource(NamedTuple):

@@ -235,6 +235,7 @@ def draw(
     alive = jnp.cumprod(1.0 - terminated - truncated, axis=1)
     alive = jnp.concatenate([jnp.ones((batch_size, 1), jnp.float32), alive[:, :-1]], axis=1)
     taken = jnp.sum(alive, axis=1).astype(jnp.int32)
+    reward = jnp.where(alive > 0.0, reward, 0.0)
     return Draw(
         start=window[:, 0],
         after=(begin + taken) % capacity,
