@@ -7,10 +7,12 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from hitl_jax import arbiter, boundary, human_actions
+from hitl_jax import arbiter, boundary, human_actions, states
 from hitl_jax.agent import Agent
-from hitl_jax.config import RunHyper
+from hitl_jax.config import RunHyper, as_float32, traced
 from hitl_jax.types import Behavior, Params
+
+_HUMAN, _SOURCE = "the human", "the human's actions"
 
 
 @struct.dataclass
@@ -81,10 +83,10 @@ def init_acting(agent: Agent, hyper: RunHyper, key: chex.PRNGKey) -> ActingState
         key=key,
         steps=jnp.zeros((), jnp.int32),
         episodes=jnp.zeros((), jnp.int32),
-        noise=jnp.zeros((agent.config.action_size,)),
+        noise=jnp.zeros((agent.config.action_size,), jnp.float32),
         boundary=source.init(initial),
-        human=agent.human.init(),
-        source=agent.source.init(),
+        human=states.begun(_HUMAN, agent.human.init()),
+        source=states.begun(_SOURCE, agent.source.init()),
         arbiter=arbiter.init(),
     )
 
@@ -95,8 +97,8 @@ def begin_episode(agent: Agent, state: ActingState) -> ActingState:
         state,
         episodes=state.episodes + 1,
         noise=jnp.zeros_like(state.noise),
-        human=agent.human.begin_episode(state.human),
-        source=agent.source.begin_episode(state.source),
+        human=states.kept(_HUMAN, agent.human.begin_episode(state.human), state.human),
+        source=states.kept(_SOURCE, agent.source.begin_episode(state.source), state.source),
         arbiter=arbiter.init(),
     )
 
@@ -121,17 +123,19 @@ def act(
         The next acting state and the decision.
     """
     chex.assert_shape(observation, (agent.config.observation_size,))
+    hyper, observation = traced(hyper), as_float32(observation)
     key, noise_key, warmup_key, boundary_key, human_key, source_key = jax.random.split(state.key, 6)
 
     noise, machine_action = _explore(agent, hyper, params.actor, state, observation, noise_key)
-    random_action = jax.random.uniform(warmup_key, machine_action.shape, minval=-1.0, maxval=1.0)
+    random_action = jax.random.uniform(warmup_key, machine_action.shape, jnp.float32, -1.0, 1.0)
     machine_action = jnp.where(state.steps < hyper.warmup_steps, random_action, machine_action)
 
     boundary_now = _boundary(agent, hyper, params.boundary_actor, state, observation, boundary_key)
     human_state, dangerous = agent.human.judge(
         state.human, hyper.human, observation, jnp.zeros((), bool), human_key
     )
-    indicator = agent.indicator(observation)
+    dangerous = jnp.asarray(dangerous, bool)
+    indicator = as_float32(agent.indicator(observation))
     alarmed = boundary.alarm(indicator, boundary_now) & (hyper.has_arbiter > 0)
     after = following(hyper, boundary_now, alarmed, dangerous)
 
@@ -160,7 +164,7 @@ def act(
     source_state, human_action = hands.act(state.source, observation, source_key)
 
     decision = Decision(
-        action=jnp.where(ruling.human_action, human_action, machine_action),
+        action=jnp.where(ruling.human_action, as_float32(human_action), machine_action),
         control=ruling.control,
         began=ruling.began,
         human_action=ruling.human_action,
@@ -177,8 +181,12 @@ def act(
         episodes=state.episodes,
         noise=noise,
         boundary=carry,
-        human=agent.human.notify(human_state, hyper.human, ruling.began, ruling.control),
-        source=source_state,
+        human=states.kept(
+            _HUMAN,
+            agent.human.notify(human_state, hyper.human, ruling.began, ruling.control),
+            state.human,
+        ),
+        source=states.kept(_SOURCE, source_state, state.source),
         arbiter=arbiter_state,
     )
     return state, decision
@@ -212,7 +220,7 @@ def _explore(
 ) -> tuple[chex.Array, chex.Array]:
     """The next noise [A] and μ(s_t) plus that noise, [A]."""
     rho = hyper.noise_correlation
-    fresh = jax.random.normal(key, state.noise.shape)
+    fresh = jax.random.normal(key, state.noise.shape, jnp.float32)
     noise = rho * state.noise + jnp.sqrt(1.0 - rho**2) * fresh
     every = hyper.noise_free_every
     noise_free = (every > 0) & (state.episodes % jnp.maximum(every, 1) == 0)
@@ -230,7 +238,7 @@ def _boundary(
     key: chex.PRNGKey,
 ) -> chex.Array:
     """τ_t (line 6): from the boundary source where it is learned, τ_0 where it is fixed."""
-    noise = hyper.boundary_noise * jax.random.normal(key, ())
+    noise = hyper.boundary_noise * jax.random.normal(key, (), jnp.float32)
     network = agent.network_boundary(hyper, actor, observation) + noise
     learned = boundary.get_source(agent.config.boundary_source).boundary(state.boundary, network)
     learned = jnp.clip(learned, hyper.boundary_low, hyper.boundary_high)

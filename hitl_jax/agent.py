@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import optax
 
 from hitl_jax import boundary, human, human_actions, losses, networks, replay
-from hitl_jax.config import AgentConfig, RunHyper
+from hitl_jax.config import AgentConfig, RunHyper, as_float32, traced
 from hitl_jax.indicator import Indicator, get_indicator
 from hitl_jax.types import (
     Behavior,
@@ -23,6 +23,7 @@ from hitl_jax.types import (
 )
 
 _adam = optax.scale_by_adam()
+_MEAN_DECAY, _SQUARE_DECAY, _EPSILON = 0.9, 0.999, 1e-8
 
 
 class Agent(NamedTuple):
@@ -122,9 +123,9 @@ def init(agent: Agent, key: chex.PRNGKey) -> TrainState:
         key: consumed, [].
     """
     keys = jax.random.split(key, 5)
-    observation = jnp.zeros((1, agent.config.observation_size))
-    action = jnp.zeros((1, agent.config.action_size))
-    scalar = jnp.zeros((1,))
+    observation = jnp.zeros((1, agent.config.observation_size), jnp.float32)
+    action = jnp.zeros((1, agent.config.action_size), jnp.float32)
+    scalar = jnp.zeros((1,), jnp.float32)
     actor = agent.actor.init(keys[0], observation)
     critic = agent.critic.init(keys[1], observation, action)
     boundary_actor = agent.boundary_actor.init(keys[2], observation, scalar, scalar, scalar)
@@ -174,6 +175,7 @@ def update(
     Returns:
         The next state and metrics, each [].
     """
+    hyper, (batch, noise) = traced(hyper), as_float32((batch, noise))
     target = _target(agent, hyper, state.learner, batch, noise)
     return _improve(agent, hyper, state, batch, target, update_actor)
 
@@ -242,6 +244,7 @@ def update_boundary(
     Returns:
         The next state and metrics, each [].
     """
+    hyper, batch = traced(hyper), as_float32(batch)
     current = state.boundary
     grads, metrics = jax.grad(boundary.boundary_critic_loss, has_aux=True)(
         current.critic, agent.boundary_critic.apply, batch
@@ -294,7 +297,7 @@ def learn(
     Raises:
         ValueError: at trace time, if `num_updates` is no multiple of the policy delay.
     """
-    config = agent.config
+    hyper, config = traced(hyper), agent.config
     delay = config.task_learner.policy_delay
     if num_updates % delay:
         raise ValueError(f"{num_updates} updates are no multiple of the policy delay {delay}")
@@ -308,7 +311,7 @@ def learn(
     )
     drawn = jax.tree.map(lambda leaf: leaf.reshape(groups, rows), drawn)
     # Long rows: XLA works along the last axis.
-    noise = jax.random.normal(noise_key, (groups, rows * config.action_size))
+    noise = jax.random.normal(noise_key, (groups, rows * config.action_size), jnp.float32)
 
     def several(
         state: TrainState, given: tuple[replay.Draw, chex.Array]
@@ -342,7 +345,25 @@ def learn(
 def _descend(
     params: Params, grads: Params, optimizer: optax.OptState, learning_rate: chex.Array
 ) -> tuple[Params, optax.OptState]:
-    """One Adam step with a traced learning rate."""
-    direction, optimizer = _adam.update(grads, optimizer)
+    """One Adam step with a traced learning rate (https://arxiv.org/abs/1412.6980).
+
+    Optax's, but for powers of the decays: it takes those in the widest type that JAX may use.
+    """
+    count = optax.safe_increment(optimizer.count)
+
+    def moment(decay: float, before: Params, seen: Params) -> Params:
+        return jax.tree.map(lambda old, new: (1.0 - decay) * new + decay * old, before, seen)
+
+    def corrected(decay: float, moments: Params) -> Params:
+        scale = 1.0 - jnp.float32(decay) ** count
+        return jax.tree.map(lambda leaf: leaf / scale, moments)
+
+    mean = moment(_MEAN_DECAY, optimizer.mu, grads)
+    square = moment(_SQUARE_DECAY, optimizer.nu, jax.tree.map(jnp.square, grads))
+    direction = jax.tree.map(
+        lambda m, v: m / (jnp.sqrt(v) + _EPSILON),
+        corrected(_MEAN_DECAY, mean),
+        corrected(_SQUARE_DECAY, square),
+    )
     step = jax.tree.map(lambda leaf: -learning_rate * leaf, direction)
-    return optax.apply_updates(params, step), optimizer
+    return optax.apply_updates(params, step), optimizer._replace(count=count, mu=mean, nu=square)

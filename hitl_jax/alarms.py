@@ -37,19 +37,28 @@ def count_alarms(
         fell: whether the last step was a fall.
         boundaries: constant boundaries τ, [M].
         window: k, steps before a fall in which an alarm is timely.
+
+    Returns:
+        The counts; what depends on alarms is NaN where an indicator or a boundary is NaN.
     """
+    unknown = np.isnan(boundaries) | np.isnan(size).any()
     alarmed = size[None, :] >= boundaries[:, None]
     timely = alarmed[:, -window:] if fell else alarmed[:, :0]
     warned = timely.any(axis=1)
     first = timely.argmax(axis=1) if fell else np.zeros(len(boundaries), int)
     return AlarmCounts(
         steps=size.size,
-        alarms=alarmed.sum(axis=1),
-        timely_alarms=timely.sum(axis=1),
+        alarms=_known(alarmed.sum(axis=1), unknown),
+        timely_alarms=_known(timely.sum(axis=1), unknown),
         falls=int(fell),
-        warned_falls=warned.astype(int),
-        lead_steps=np.where(warned, timely.shape[1] - 1 - first, 0),
+        warned_falls=_known(warned.astype(int), unknown),
+        lead_steps=_known(np.where(warned, timely.shape[1] - 1 - first, 0), unknown),
     )
+
+
+def _known(counts: np.ndarray, unknown: np.ndarray) -> np.ndarray:
+    """Counts [M], NaN at the boundaries where they are unknown, bool [M]."""
+    return np.where(unknown, np.nan, counts) if unknown.any() else counts
 
 
 def total(counts: list[AlarmCounts]) -> AlarmCounts:

@@ -1,7 +1,9 @@
 """Who is in control: u_t, what an intervention does, and the reward of equation (7)."""
 
 import chex
+import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 
@@ -99,7 +101,7 @@ def shaped_reward(
 
     The feedback "can be given at each time step, or after each episode" (section III): by `step` it
     comes with every u_t = 1, by `episode` once, with the last reward of an episode in which the
-    human intervened. Plain arithmetic, so that host (NumPy) and device arrays both serve.
+    human intervened. Host (NumPy) and device arrays both serve.
 
     Args:
         reward: r(s, a), [...].
@@ -114,4 +116,5 @@ def shaped_reward(
         The reward that is learned from, [...].
     """
     given = control if schedule == "step" else ended & intervened
-    return reward + given * feedback
+    where = jnp.where if isinstance(reward, jax.Array) else np.where
+    return reward + where(given, feedback, -0.0)  # To which -0 is added keeps its sign, if it is 0.

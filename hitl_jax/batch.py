@@ -31,7 +31,7 @@ from hitl_jax import agent as agents
 from hitl_jax import lanes, replay
 from hitl_jax.acting import ActingState, init_acting
 from hitl_jax.agent import Agent
-from hitl_jax.config import RunHyper, typed
+from hitl_jax.config import MOST_SEED, RunHyper, require_whole, typed
 from hitl_jax.decisions import act_or_begin
 from hitl_jax.keys import make_key
 from hitl_jax.packing import from_pieces, pack, piece_sizes, to_pieces, unpack
@@ -126,7 +126,12 @@ def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, 
     Args:
         seed: in [0, 2³²).
         method_index: see `hitl_jax.runs.method_index`.
+
+    Raises:
+        ValueError: one line, for a number out of range.
     """
+    require_whole("seed", seed, at_most=MOST_SEED)
+    require_whole("method_index", method_index)
     # As one program: operation by operation, the keys of a thousand runs take half a minute.
     return _run_keys(np.uint32(seed), np.uint32(method_index))
 
@@ -351,7 +356,7 @@ def _learn_all(
 
     def learn_tile(index: chex.Array, train: chex.Array) -> chex.Array:
         chosen = jax.lax.dynamic_slice_in_dim(padded, index * tile, tile)
-        filled = index * tile + jnp.arange(tile) < count
+        filled = index * tile + jnp.arange(tile, dtype=jnp.int32) < count
         chosen = jnp.where(filled, chosen, chosen[0])
         states = jax.vmap(functools.partial(unpack, like))(train[chosen])
         after = jax.vmap(learn)(hyper[chosen], states, chosen)
@@ -368,7 +373,7 @@ def _take(like: chex.ArrayTree, words: chex.Array, slot: chex.Array) -> chex.Arr
     """One row of words [R, P], unpacked, each piece read by itself: all is copied once."""
     pieces, place = [], 0
     for size in piece_sizes(like):
-        pieces.append(jax.lax.dynamic_slice(words, (slot, place), (1, size))[0])
+        pieces.append(jax.lax.dynamic_slice(words, (slot, jnp.int32(place)), (1, size))[0])
         place += size
     return from_pieces(like, pieces)
 
@@ -381,7 +386,7 @@ def _give(words: chex.Array, slot: chex.Array, tree: chex.ArrayTree) -> chex.Arr
     """
     place = 0
     for piece in to_pieces(tree):
-        words = jax.lax.dynamic_update_slice(words, piece[None], (slot, place))
+        words = jax.lax.dynamic_update_slice(words, piece[None], (slot, jnp.int32(place)))
         place += piece.size
     return words
 

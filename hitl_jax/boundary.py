@@ -7,6 +7,7 @@ import chex
 import jax
 import jax.numpy as jnp
 
+from hitl_jax.losses import bootstrap
 from hitl_jax.types import BoundaryTransition, Params
 
 Metrics = dict[str, chex.Array]
@@ -227,6 +228,7 @@ def boundary_critic_loss(
     """
     following = apply(critic, sample.next_observation, sample.next_boundary)
     chex.assert_equal_shape([sample.reward, sample.discount, following])
+    following = bootstrap(sample.discount, following)
     target = jax.lax.stop_gradient(sample.reward + sample.discount * following)
     value = apply(critic, sample.observation, sample.boundary)
     loss = jnp.mean(jnp.square(value - target))

@@ -6,13 +6,16 @@ number that the program takes as an argument, so that one program can sweep it a
 
 import dataclasses
 import enum
-import math
+import numbers
+from typing import Any
 
+import chex
 import jax
+import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from hitl_jax.human import DANGER_MODELS, HumanParams, validate_human_params
+from hitl_jax.human import DANGER_MODELS, MAX_DELAY, HumanParams, validate_human_params
 from hitl_jax.indicator import INDICATORS
 from hitl_jax.learners import LEARNERS, Learner
 from hitl_jax.products import MATMUL_PRECISIONS
@@ -21,6 +24,15 @@ BOUNDARY_SOURCES = ("network", "residual", "rule", "quantile", "pid")
 INTERVENTIONS = ("reset", "takeover", "penalty")
 RELEASES = ("judgement", "hysteresis")
 FEEDBACK_SCHEDULES = ("step", "episode")
+
+MOST = 2**31 - 1
+"""The greatest count, of episodes or steps for example: the greatest int32."""
+MOST_SEED = 2**32 - 1
+"""Of a run's seeds: it is one word of its key."""
+_MOST_SEEDS = 100_000
+"""Of one command, which holds a list of its runs."""
+_MOST_UNITS = 2**20
+_GREATEST = float(np.finfo(np.float32).max)
 
 
 class Method(enum.StrEnum):
@@ -98,11 +110,13 @@ class AgentConfig:
             "observation_size",
             "action_size",
         ):
-            require(name, getattr(self, name), at_least=1)
+            require_whole(name, getattr(self, name), at_least=1, at_most=_MOST_UNITS)
         for name in ("hidden_sizes", "boundary_hidden_sizes"):
             sizes = getattr(self, name)
-            if not sizes or any(size < 1 for size in sizes):
+            if not sizes or any(not is_whole(size) or size < 1 for size in sizes):
                 raise ValueError(f"{_option(name)} {sizes}: at least one layer, each of 1 or more")
+            for size in sizes:
+                require_whole(name, size, at_most=_MOST_UNITS)
         if self.matmul_precision != "float32" and len(self.hidden_sizes) < 2:
             raise ValueError(
                 f"--matmul-precision {self.matmul_precision}: is for products between hidden "
@@ -202,6 +216,20 @@ def typed(hyper: RunHyper) -> RunHyper:
     return jax.tree.map(cast, RunHyper(), hyper)
 
 
+def traced(hyper: RunHyper) -> RunHyper:
+    """The same as arrays of the types of `typed`, whatever JAX would make of a caller's numbers."""
+
+    def cast(default: float, value: chex.Numeric) -> chex.Array:
+        return jnp.asarray(value, jnp.int32 if isinstance(default, int) else jnp.float32)
+
+    return jax.tree.map(cast, RunHyper(), hyper)
+
+
+def as_float32(tree: chex.ArrayTree) -> chex.ArrayTree:
+    """Arrays of a caller's in the type of all arithmetic here, whatever JAX is configured to."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), tree)
+
+
 def hyper_for(method: Method, hyper: Hyper) -> RunHyper:
     """The hyperparameters of `method`: equal for the three in everything but the flags."""
     common = {field.name: getattr(hyper, field.name) for field in dataclasses.fields(Hyper)}
@@ -212,11 +240,12 @@ def hyper_for(method: Method, hyper: Hyper) -> RunHyper:
     )
 
 
-def validate_hyper(hyper: Hyper) -> None:
+def validate_hyper(hyper: Hyper, max_delay: int = MAX_DELAY) -> None:
     """Checks host values before any work starts.
 
     Args:
         hyper: scalars, not yet on a device.
+        max_delay: longest reaction delay that the human was made for [steps].
 
     Raises:
         ValueError: one line with the option, the value and what is allowed.
@@ -232,8 +261,6 @@ def validate_hyper(hyper: Hyper) -> None:
         "target_noise",
         "target_noise_clip",
         "exploration_noise",
-        "noise_free_every",
-        "warmup_steps",
         "delta_minus",
         "delta_plus",
         "boundary_noise",
@@ -244,7 +271,8 @@ def validate_hyper(hyper: Hyper) -> None:
     for name in ("gamma", "target_step_size", "target_rate", "release_share"):
         require(name, getattr(hyper, name), at_least=0.0, at_most=1.0)
     require("noise_correlation", hyper.noise_correlation, at_least=0.0, at_most=0.999)
-    require("takeover_steps", hyper.takeover_steps, at_least=1)
+    for name, least in (("noise_free_every", 0), ("warmup_steps", 0), ("takeover_steps", 1)):
+        require_whole(name, getattr(hyper, name), at_least=least, at_most=MOST)
     require("feedback", hyper.feedback)
     require("boundary_low", hyper.boundary_low, at_least=0.0)
     require("boundary_high", hyper.boundary_high, at_least=hyper.boundary_low)
@@ -254,19 +282,52 @@ def validate_hyper(hyper: Hyper) -> None:
         at_least=hyper.boundary_low,
         at_most=hyper.boundary_high,
     )
-    validate_human_params(hyper.human)
+    validate_human_params(hyper.human, max_delay)
+
+
+def is_whole(value: Any) -> bool:
+    """Whether a value is a whole number by its type: Python's or NumPy's, but no truth value."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    return isinstance(value, numbers.Integral) and not isinstance(value, bool)
 
 
 def require(
-    name: str, value: float, at_least: float = -math.inf, at_most: float = math.inf
+    name: str, value: float, at_least: float = -_GREATEST, at_most: float = _GREATEST
 ) -> None:
-    """Raises ValueError with one line unless `value` is a finite number within the bounds."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    """Raises ValueError with one line unless `value` is a finite number within the bounds.
+
+    Args:
+        name: of the option, as in the dataclass or with hyphens.
+        value: Python's or NumPy's.
+        at_least: by default the least number that float32 has.
+        at_most: by default the greatest.
+    """
+    number = value[()] if isinstance(value, np.ndarray) and value.ndim == 0 else value
+    known = isinstance(number, numbers.Real) and not isinstance(number, bool)
+    if not (known and -_GREATEST <= number <= _GREATEST):
         raise ValueError(f"{_option(name)} {value}: must be a finite number")
-    if not at_least <= value <= at_most:
-        bounds = [f"at least {at_least:g}"] * (at_least > -math.inf)
-        bounds += [f"at most {at_most:g}"] * (at_most < math.inf)
+    if not at_least <= number <= at_most:
+        bounds = [f"at least {_text(at_least)}"] * (at_least > -_GREATEST)
+        bounds += [f"at most {_text(at_most)}"] * (at_most < _GREATEST)
         raise ValueError(f"{_option(name)} {value}: must be {' and '.join(bounds)}")
+
+
+def require_whole(name: str, value: int, at_least: int = 0, at_most: int = MOST) -> None:
+    """Raises ValueError with one line unless `value` is a whole number within the bounds."""
+    if not is_whole(value):
+        raise ValueError(f"{_option(name)} {value}: must be a whole number")
+    require(name, value, at_least, at_most)
+
+
+def require_seeds(first_seed: int, seeds: int) -> None:
+    """Raises ValueError with one line unless there are so many seeds from `first_seed` on."""
+    require_whole("seeds", seeds, at_least=1, at_most=_MOST_SEEDS)
+    require_whole("first_seed", first_seed, at_most=MOST_SEED + 1 - int(seeds))
+
+
+def _text(bound: float) -> str:
+    return str(bound) if is_whole(bound) else f"{bound:g}"
 
 
 def _option(name: str) -> str:

@@ -15,8 +15,9 @@ from hitl_jax.types import Behavior
 EXTRA_COLUMNS = ("control", "began", "human_action", "human_reset", "alarmed", "dangerous")
 """Columns of a packed decision behind those of the frame, in this order; each 0 or 1."""
 
-CHECKED_COLUMNS = ("observation", "action", "boundary")
-"""Of what was decided; a run ends where one of them is not finite."""
+CHECKED_COLUMNS = ("action", "boundary")
+"""Of what was decided; a run ends where one of them is not finite. (An observation is looked at as
+it comes.)"""
 
 
 def act_or_begin(
@@ -45,7 +46,7 @@ def act_or_begin(
     begun = begin_episode(agent, state)
     state = jax.tree.map(functools.partial(jnp.where, live), stepped, begun)
     zero = jnp.zeros((), jnp.float32)
-    scalars = [zero, zero, zero, 1.0 - live, decision.boundary, decision.next_boundary]
+    scalars = [zero, zero, zero, jnp.float32(1.0) - live, decision.boundary, decision.next_boundary]
     scalars += [decision.boundary_reward, *(getattr(decision, name) for name in EXTRA_COLUMNS)]
     tail = jnp.stack([jnp.asarray(value, jnp.float32) for value in scalars])
     return state, jnp.concatenate([observation, decision.action, tail])

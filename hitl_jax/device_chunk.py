@@ -82,7 +82,7 @@ def play(
         walkers, step = tick(walkers, command, action, seed)
         observation = jnp.where((live | begins)[:, None], step.observation, observation)
         reward = jnp.where(live, step.reward, 0.0)
-        active = active & jnp.isfinite(reward)
+        active = active & jnp.isfinite(reward) & jnp.isfinite(observation).all(axis=1)
         human_reset = decisions.flag_of(decided, layout, "human_reset")
         terminated, truncated = live & step.terminated, live & step.truncated
         ended = live & (terminated | truncated | human_reset)

@@ -19,7 +19,7 @@ from hitl_jax.devices import walker_devices
 from hitl_jax.envs import StepBatch
 from hitl_jax.envs.jax_pool import JaxPool
 from hitl_jax.episode_log import EpisodeLog
-from hitl_jax.episodes import Row, fall_at_once, row_of
+from hitl_jax.episodes import Row, lost_test, row_of
 from hitl_jax.evaluation import (
     Trial,
     as_tested,
@@ -29,7 +29,7 @@ from hitl_jax.evaluation import (
     trial_key,
 )
 from hitl_jax.stages import Slots
-from hitl_jax.steps import complete, episode_of, logged_layout, step_width
+from hitl_jax.steps import complete, episode_of, finite_answer, logged_layout, step_width
 from hitl_jax.types import Behavior
 
 _TABLE = 16
@@ -216,9 +216,11 @@ class _Room:
         slots, config, layout = self._slots, self._agent.config, self._agent.layout
         for decided, live, *played in zip(*jax.device_get(self._told), strict=True):
             answer, step = StepBatch(*played), np.array(decided)
-            live = live & np.isfinite(answer.reward)
-            for lane in np.flatnonzero(slots.live & ~live).tolist():
-                yield self._ended(lane, fall_at_once())  # Its numbers are not finite.
+            finite = np.logical_and(*finite_answer(answer).values())
+            lost = slots.active & ~(finite & (live | slots.needs_reset))
+            for lane in np.flatnonzero(lost).tolist():
+                yield self._ended(lane, lost_test())
+            live = live & finite
             ended = live & complete(step, answer, layout)
             self._log.add(live, step[:, layout.action.start :])
             for lane in np.flatnonzero(ended).tolist():

@@ -1,5 +1,6 @@
 """What is told of an episode, in training and test alike (host, NumPy)."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,6 +38,26 @@ class Episode(NamedTuple):
     boundary: np.ndarray
     terminated: np.ndarray
     human_reset: np.ndarray
+
+
+NOT_FINITE = "not_finite"
+"""Says in the row of a test episode that it was not played to its end, see `lost_test`."""
+
+
+LOST_TESTS = "test episodes with numbers that are not finite, counted as falls"
+
+
+def lost_test() -> Row:
+    """The row of a test episode in which a number that acts, or that the plant gave, is not finite.
+
+    By this rule all examiners go: the episode is not played on, and counts as `fall_at_once`.
+    """
+    return fall_at_once() | {NOT_FINITE: True}
+
+
+def num_lost(rows: Sequence[Row]) -> int:
+    """How many of some test episodes are such."""
+    return sum(NOT_FINITE in row for row in rows)
 
 
 def fall_at_once() -> Row:

@@ -11,13 +11,20 @@ import numpy as np
 from hitl_jax import batch, decisions
 from hitl_jax.acting import ActingState, init_acting
 from hitl_jax.agent import Agent, behavior
-from hitl_jax.config import Method, RunHyper
+from hitl_jax.config import Method, RunHyper, require_whole, typed
 from hitl_jax.devices import acting_device
-from hitl_jax.envs import Command, WalkerPool
+from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.episode_log import EpisodeLog
-from hitl_jax.episodes import Row, fall_at_once, row_of
+from hitl_jax.episodes import Row, fall_at_once, lost_test, row_of
 from hitl_jax.runs import FinishedRun, Run, RunSpec, Snapshot, episode_seed, method_index
-from hitl_jax.steps import complete, episode_of, logged_layout, step_width
+from hitl_jax.steps import (
+    complete,
+    episode_of,
+    finite_answer,
+    finite_decision,
+    logged_layout,
+    step_width,
+)
 from hitl_jax.types import Behavior
 
 Mode = Literal["autonomous", "assisted"]
@@ -25,6 +32,9 @@ Mode = Literal["autonomous", "assisted"]
 Watch = Callable[[np.ndarray, np.ndarray], None]
 """Called before each step of a test with what was decided, a frame and flags of `decisions`,
 [N, W + 6], and which walkers take the step, bool [N]."""
+
+MOST_TEST_EPISODES = 10_000
+"""Of one test: the host's examiner has a walker for each."""
 
 _PARTS = 5
 _TESTS = 3
@@ -129,8 +139,12 @@ class Evaluator:
 
         Returns:
             A row for each episode, policy after policy.
+
+        Raises:
+            ValueError: if there is no episode, or no walker for each.
         """
-        hyper = frozen(hyper, human_present=mode == "assisted")
+        require_whole("episodes", seeds.size, 1, self._pool.num_walkers)
+        hyper = typed(frozen(hyper, human_present=mode == "assisted"))
         # Committed to the acting device, the programs run there, a GPU or not.
         placed, params, key = jax.device_put((hyper, params, key), acting_device())
         state = _init(self._agent, placed, boundary, key, np.arange(seeds.shape[1]))
@@ -145,30 +159,41 @@ class Evaluator:
         resets = np.zeros(walkers, np.uint32)
         resets[: seeds.size] = seeds.ravel()
         command = np.where(active, Command.RESET, Command.IDLE).astype(np.uint8)
-        observation = self._pool.step(command, action, resets).observation
+
+        def without(lost: np.ndarray) -> np.ndarray:
+            """Who goes on, bool [N], where some are lost; see `lost_test`."""
+            for walker in np.flatnonzero(active & lost).tolist():
+                place = {"mode": mode, "episode": walker % seeds.shape[1] + 1}
+                rows[walker] = place | lost_test()
+            return active & ~lost
+
+        answer = self._pool.step(command, action, resets)
+        active = without(_broken(answer))
         while active.any():
+            observation = answer.observation
             seen = observation[: seeds.size].reshape(*seeds.shape, -1)
             live = active[: seeds.size].reshape(seeds.shape)
             state, packed = _act(self._agent, placed, params, state, seen, live)
             decided[: seeds.size] = np.asarray(packed).reshape(seeds.size, -1)
             # A policy of numbers that are not finite cannot act.
-            unable = active & ~np.isfinite(decided).all(axis=1)
-            for walker in np.flatnonzero(unable).tolist():
-                place = {"mode": mode, "episode": walker % seeds.shape[1] + 1}
-                rows[walker] = place | fall_at_once()
-            active = active & ~unable
+            active = without(~finite_decision(decided, layout))
             if watch is not None:
                 watch(decided, active)
             command = np.where(active, Command.STEP, Command.IDLE).astype(np.uint8)
             answer = self._pool.step(command, decided[:, layout.action], resets)
+            active = without(_broken(answer))
             ended = active & complete(decided, answer, layout)
             log.add(active, decided[:, layout.action.start :])
             for walker in np.flatnonzero(ended).tolist():
                 row = row_of(episode_of(log.of(walker), logged, config, hyper))
                 rows[walker] = {"mode": mode, "episode": walker % seeds.shape[1] + 1, **row}
                 active[walker] = False
-            observation = answer.observation
         return [row for row in rows if row is not None]
+
+
+def _broken(answer: StepBatch) -> np.ndarray:
+    """Whose observation or reward is not finite, bool [N]."""
+    return ~np.logical_and(*finite_answer(answer).values())
 
 
 def num_test_walkers(backend: str, episodes: int, num_runs: int, num_devices: int) -> int:

@@ -10,6 +10,7 @@ a person at the keyboard is one more `HumanPart`.
 
 import functools
 import math
+import numbers
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -27,7 +28,8 @@ UNLIMITED = 2**31 - 1
 """A budget of interventions that no run uses up: the greatest int32."""
 
 State = Any
-"""What a part remembers: a pytree of arrays."""
+"""What a part remembers: a pytree of arrays, or of plain numbers at first; see
+`hitl_jax.states`."""
 
 
 @struct.dataclass
@@ -71,9 +73,9 @@ def validate_human_params(params: HumanParams, max_delay: int = MAX_DELAY) -> No
     limits = {"delay": max_delay, "max_interventions": UNLIMITED, "refractory_steps": UNLIMITED}
     for name, most in limits.items():
         value = getattr(params, name)
-        if not isinstance(value, int):
+        if not isinstance(value, numbers.Integral):
             raise ValueError(f"{_option(name)} {value}: must be a whole number")
-        _require(name, value, range(most + 1).__contains__, f"from 0 to {most}")
+        _require(name, value, lambda value, most=most: 0 <= value <= most, f"from 0 to {most}")
 
 
 class HumanPart(NamedTuple):
@@ -169,8 +171,8 @@ def delayed(max_delay: int = MAX_DELAY) -> HumanPart:
     Raises:
         ValueError: if `max_delay` is negative.
     """
-    if max_delay < 0:
-        raise ValueError(f"max_delay {max_delay}: must be at least 0")
+    if not isinstance(max_delay, numbers.Integral) or max_delay < 0:
+        raise ValueError(f"max_delay {max_delay}: must be a whole number of at least 0")
 
     def judge(
         state: chex.Array,
@@ -344,9 +346,9 @@ def outcome_dangerous(fell: chex.Array, k: chex.Numeric) -> chex.Array:
         Whether s_t was dangerous, bool [T].
     """
     chex.assert_rank(fell, 1)
-    falls_before = jnp.append(0, jnp.cumsum(jnp.asarray(fell, jnp.int32)))
+    falls_before = jnp.append(jnp.int32(0), jnp.cumsum(fell, dtype=jnp.int32))
     num_steps = fell.shape[0]
-    start = jnp.arange(num_steps)
+    start = jnp.arange(num_steps, dtype=jnp.int32)
     end = jnp.clip(start + k, start, num_steps)
     return falls_before[end] > falls_before[start]
 
@@ -380,8 +382,9 @@ def _unmoved(
 
 
 def _require(name: str, value: Any, allowed: Callable[[Any], bool], bounds: str) -> None:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (number and math.isfinite(value) and allowed(value)):
+    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    whole = isinstance(value, numbers.Integral)
+    if not (number and (whole or math.isfinite(value)) and allowed(value)):
         raise ValueError(f"{_option(name)} {value}: must be {bounds}")
 
 

@@ -12,7 +12,8 @@ from flax import struct
 from hitl_jax.types import Params
 
 State = Any
-"""What a source remembers: a pytree of arrays."""
+"""What a source remembers: a pytree of arrays, or of plain numbers at first; see
+`hitl_jax.states`."""
 
 
 class ActionSource(NamedTuple):
@@ -55,7 +56,7 @@ def with_noise(source: ActionSource, scale: chex.Numeric) -> ActionSource:
     def act(state: State, observation: chex.Array, key: chex.PRNGKey) -> tuple[State, chex.Array]:
         source_key, noise_key = jax.random.split(key)
         state, action = source.act(state, observation, source_key)
-        noise = scale * jax.random.normal(noise_key, action.shape)
+        noise = scale * jax.random.normal(noise_key, action.shape, jnp.float32)
         return state, jnp.clip(action + noise, -1.0, 1.0)
 
     return ActionSource(init=source.init, begin_episode=source.begin_episode, act=act)
@@ -150,7 +151,7 @@ def _advance(
         The next state, and the targets of hips [2] and knees [2], moving leg first.
     """
     stays = state.phase == STAY_ON_ONE_LEG
-    faster = jnp.where(forward_speed > _SPEED, _STRAIGHTEN, 0.0)
+    faster = jnp.where(forward_speed > _SPEED, jnp.float32(_STRAIGHTEN), 0.0)
     straightened = jnp.minimum(state.support_knee + _STRAIGHTEN + faster, _SUPPORT_KNEE)
     support_knee = jnp.where(stays, straightened, state.support_knee)
 
@@ -164,8 +165,8 @@ def _advance(
     changes_legs = pushes & ((supporting[_KNEE] > _PUSHED_KNEE) | fast)
 
     # Where a step runs through several phases, the last one's targets hold.
-    hip_target = jnp.where(puts_down, _LANDING_HIP, jnp.where(stays, _SWING_HIP, 0.0))
-    moving_knee = jnp.where(puts_down, _SUPPORT_KNEE, _SWING_KNEE)
+    hip_target = jnp.where(puts_down, _LANDING_HIP, jnp.where(stays, jnp.float32(_SWING_HIP), 0.0))
+    moving_knee = jnp.where(puts_down, jnp.float32(_SUPPORT_KNEE), _SWING_KNEE)
     moving_knee = jnp.where(pushes, pushed_knee, moving_knee)
     supporting_knee = jnp.where(pushes, _PUSH_KNEE, support_knee)
 

@@ -36,14 +36,25 @@ def target_q(reward: chex.Array, discount: chex.Array, next_q: chex.Array) -> ch
     Args:
         reward: n-step reward, [B].
         discount: γ^m · (1 − terminated), [B].
-        next_q: target critics at the next observation, [E, B].
+        next_q: target critics at the next observation, [E, B]; not looked at where the discount is
+            0.
 
     Returns:
         The target, [B].
     """
     chex.assert_rank([reward, discount, next_q], [1, 1, 2])
     chex.assert_equal_shape([reward, discount, next_q[0]])
-    return jax.lax.stop_gradient(reward + discount * jnp.min(next_q, axis=0))
+    return jax.lax.stop_gradient(reward + discount * bootstrap(discount, jnp.min(next_q, axis=0)))
+
+
+def bootstrap(discount: chex.Array, value: chex.Array) -> chex.Array:
+    """A value that a discount is to be multiplied with; 0 where that is 0, whatever the value is.
+
+    Args:
+        discount: [...].
+        value: [...].
+    """
+    return jnp.where(discount == 0.0, 0.0, value)
 
 
 def smoothed_action(
@@ -99,7 +110,8 @@ def target_quantiles(
     Args:
         reward: n-step reward, [B].
         discount: γ^m · (1 − terminated), [B].
-        next_quantiles: target critics at the next observation, [E, B, Q].
+        next_quantiles: target critics at the next observation, [E, B, Q]; not looked at where the
+            discount is 0, or where they are dropped.
         num_dropped: static, of all critics together; the paper counts those of one critic.
 
     Returns:
@@ -112,8 +124,9 @@ def target_quantiles(
     for _ in range(num_dropped):  # A sort would take longer.
         left = kept & (pooled < jnp.max(pooled, axis=0, where=kept, initial=-jnp.inf))
         kept = jnp.where(jnp.any(left, axis=0), left, kept)  # All may be equal.
-    weight = kept / jnp.sum(kept, axis=0)
-    return Atoms(*jax.lax.stop_gradient((reward + discount * pooled, weight)))
+    weight = kept / jnp.sum(kept, axis=0, dtype=jnp.float32)
+    value = reward + discount * jnp.where(kept, bootstrap(discount, pooled), 0.0)
+    return Atoms(*jax.lax.stop_gradient((value, weight)))
 
 
 def quantile_loss(
@@ -136,7 +149,7 @@ def quantile_loss(
     quantiles = apply(critic, transition.observation, transition.action)
     chex.assert_rank([quantiles, target.value], [3, 2])
     count = quantiles.shape[-1]
-    level = (jnp.arange(count) + 0.5) / count
+    level = (jnp.arange(count, dtype=jnp.float32) + 0.5) / count
     each = jnp.zeros_like(quantiles)
     for place in range(len(target.value)):
         # Term by term: to sum over an axis, XLA would first write all of [E, M, B, Q].

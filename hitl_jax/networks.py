@@ -79,8 +79,9 @@ class _StackedDense(nn.Module):
     def __call__(self, x: chex.Array) -> chex.Array:
         """Maps [B, I] (shared by the members) or [E, B, I] to [E, B, F]."""
         shape = (self.num_members, x.shape[-1], self.features)
-        kernel = self.param("kernel", _stacked_init, shape)
-        bias = self.param("bias", nn.initializers.zeros, (self.num_members, 1, self.features))
+        kernel = self.param("kernel", _stacked_init, shape, jnp.float32)
+        bias_shape = (self.num_members, 1, self.features)
+        bias = self.param("bias", nn.initializers.zeros, bias_shape, jnp.float32)
         if x.ndim == 2:
             # Shared, XLA would make [F, B] of it and transpose in every product that follows.
             x = jnp.broadcast_to(x, (self.num_members, *x.shape))

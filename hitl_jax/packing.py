@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import chex
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from hitl_jax.keys import wrap_key
 
@@ -24,7 +25,10 @@ def pack(tree: chex.ArrayTree) -> chex.Array:
     """All leaves, uint32 [P].
 
     Args:
-        tree: leaves of 32 bits an element, bool, or typed keys of `keys.make_key`.
+        tree: leaves of 8, 16 or 32 bits an element, bool, or typed keys of `keys.make_key`.
+
+    Raises:
+        ValueError: one line, for a leaf of another type.
     """
     return jnp.concatenate(to_pieces(tree))
 
@@ -91,7 +95,7 @@ def _to_words(leaf: chex.Array) -> chex.Array:
         return jax.random.key_data(leaf)
     if leaf.dtype == bool:
         return leaf.astype(jnp.uint32)
-    return jax.lax.bitcast_convert_type(leaf, jnp.uint32)
+    return jax.lax.bitcast_convert_type(leaf, _bits_of(leaf)).astype(jnp.uint32)
 
 
 def _from_words(like: chex.Array, words: chex.Array) -> chex.Array:
@@ -99,4 +103,18 @@ def _from_words(like: chex.Array, words: chex.Array) -> chex.Array:
         return wrap_key(words)
     if like.dtype == bool:
         return words > 0
-    return jax.lax.bitcast_convert_type(words, like.dtype)
+    return jax.lax.bitcast_convert_type(words.astype(_bits_of(like)), like.dtype)
+
+
+def _bits_of(leaf: chex.Array) -> np.dtype:
+    """The type that holds an element's bits; a word holds those of a narrower one, and zeros."""
+    for bits in (jnp.uint8, jnp.uint16, jnp.uint32):
+        if _num_bits(leaf.dtype) == jnp.iinfo(bits).bits:
+            return jnp.dtype(bits)
+    raise ValueError(f"a leaf of type {leaf.dtype}: must have 8, 16 or 32 bits, or be bool or keys")
+
+
+def _num_bits(dtype: np.dtype) -> int:
+    if jnp.issubdtype(dtype, jnp.floating):
+        return jnp.finfo(dtype).bits
+    return jnp.iinfo(dtype).bits if jnp.issubdtype(dtype, jnp.integer) else 0

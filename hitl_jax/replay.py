@@ -226,19 +226,20 @@ def draw(
     """
     capacity = replay.seen.shape[1]
     begin = _starts(replay, layout, column, key, batch_size, n_step)
-    window = (begin[:, None] + jnp.arange(n_step)) % capacity
+    window = (begin[:, None] + jnp.arange(n_step, dtype=jnp.int32)) % capacity
     reward, terminated, truncated = (
         replay.outcome[column, window, index - layout.reward]
         for index in (layout.reward, layout.terminated, layout.truncated)
     )
     # alive[:, i]: the episode had not ended before step i of the window.
     alive = jnp.cumprod(1.0 - terminated - truncated, axis=1)
-    alive = jnp.concatenate([jnp.ones((batch_size, 1)), alive[:, :-1]], axis=1)
+    alive = jnp.concatenate([jnp.ones((batch_size, 1), jnp.float32), alive[:, :-1]], axis=1)
     taken = jnp.sum(alive, axis=1).astype(jnp.int32)
+    reward = jnp.where(alive > 0.0, reward, 0.0)
     return Draw(
         start=window[:, 0],
         after=(begin + taken) % capacity,
-        reward=jnp.sum(alive * gamma ** jnp.arange(n_step) * reward, axis=1),
+        reward=jnp.sum(alive * gamma ** jnp.arange(n_step, dtype=jnp.int32) * reward, axis=1),
         discount=gamma**taken * (1.0 - jnp.sum(alive * terminated, axis=1)),
     )
 
@@ -313,10 +314,10 @@ def _starts(
     """Numbers of frames that are steps with n frames behind them, int32 [B]."""
     count = num_starts(replay, column, n_step)
     oldest = replay.cursor - n_step - count
-    draws = jax.random.randint(key, (_DRAWS, batch_size), 0, jnp.maximum(count, 1))
+    draws = jax.random.randint(key, (_DRAWS, batch_size), 0, jnp.maximum(count, 1), jnp.int32)
     places = (oldest + draws) % replay.seen.shape[1]
     final = replay.outcome[column, places, layout.final - layout.reward] > 0.5
-    chosen = jnp.argmin(final, axis=0)
+    chosen = jax.lax.argmin(final, 0, jnp.int32)
     begin = jnp.take_along_axis(draws, chosen[None], axis=0)[0]
     still_final = jnp.take_along_axis(final, chosen[None], axis=0)[0]
     beside = jnp.where(begin > 0, begin - 1, 1)  # The first frame of all has none before it.

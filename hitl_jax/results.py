@@ -84,6 +84,11 @@ class Run:
         return bool(self.info.get("diverged"))
 
     @property
+    def lost_tests(self) -> int:
+        """Test episodes that count as falls since a number was not finite."""
+        return self.info.get("lost_tests", 0)
+
+    @property
     def played(self) -> Table:
         """The training episodes that were played, without those that a diverged run could not."""
         end = self.info["diverged"]["episodes"] if self.diverged else None

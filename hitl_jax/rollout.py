@@ -45,6 +45,7 @@ from hitl_jax.stages import Slots, Tick, make_stage
 from hitl_jax.steps import (
     complete,
     episode_of,
+    finite_answer,
     frames_of,
     logged_layout,
     recorded_steps,
@@ -334,9 +335,11 @@ class Rollout:
                     self._stop_diverged(name, np.isfinite(part).all(axis=1) | ~live)
                 live &= slots.active
             answer = tick.answer(live)
-            if not np.isfinite(answer.reward).all():
-                self._stop_diverged("reward", np.isfinite(answer.reward) | ~live)
-                live &= slots.active
+            moved = live | (slots.active & slots.needs_reset)
+            for name, finite in finite_answer(answer).items():
+                if not finite.all():
+                    self._stop_diverged(name, finite | ~moved)
+                    live &= slots.active
             ended = live & complete(step, answer, layout)
             self._log.add(live, step[:, layout.action.start :])
             slots.needs_reset[:] = False

@@ -8,12 +8,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitl_jax.config import Method, RunHyper, require
+from hitl_jax.config import (
+    MOST_SEED,
+    Method,
+    RunHyper,
+    one_of,
+    require,
+    require_whole,
+    validate_hyper,
+)
 from hitl_jax.devices import learning_devices
 from hitl_jax.episodes import Row, fall_at_once
+from hitl_jax.human import UNLIMITED
 from hitl_jax.recording import Recording
 from hitl_jax.run_key import RunKey
 from hitl_jax.types import Behavior, Params
+
+_MOST_FRAMES = 2**30
+_MOST_UPDATES = 1000.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,9 +45,9 @@ class LoopConfig:
 
     def __post_init__(self) -> None:
         """Checks every number; ValueError names the option, the value and what is allowed."""
-        require("chunk", self.chunk, at_least=1)
-        require("capacity", self.capacity, at_least=2 * self.chunk)
-        require("updates_per_step", self.updates_per_step, at_least=0.0)
+        require_whole("chunk", self.chunk, at_least=1, at_most=_MOST_FRAMES // 2)
+        require_whole("capacity", self.capacity, at_least=2 * self.chunk, at_most=_MOST_FRAMES)
+        require("updates_per_step", self.updates_per_step, 0.0, _MOST_UPDATES)
 
     @property
     def frames(self) -> int:
@@ -68,6 +80,9 @@ class RunSpec:
         episodes: training episodes after which the run is done.
         snapshots: rising numbers of training episodes at which a `Snapshot` is kept.
         setting: tells runs of one method and seed apart, see `RunKey`.
+
+    Raises:
+        ValueError: one line with the field, its value and what is allowed.
     """
 
     method: Method
@@ -76,6 +91,19 @@ class RunSpec:
     episodes: int
     snapshots: tuple[int, ...] = ()
     setting: str = ""
+
+    def __post_init__(self) -> None:
+        """Checks every field; ValueError names it, its value and what is allowed."""
+        one_of("method", self.method, tuple(Method))
+        require_whole("seed", self.seed, at_most=MOST_SEED)
+        require_whole("episodes", self.episodes, at_least=1)
+        before = 0
+        for episode in self.snapshots:
+            require_whole("snapshots", episode, before + 1, self.episodes)
+            before = int(episode)
+        # What is too long for the human that acts, acting cuts down: nobody's human is known here.
+        validate_hyper(self.hyper, max_delay=UNLIMITED)
+        assert self.key
 
     @property
     def key(self) -> RunKey:
@@ -181,6 +209,8 @@ def num_slots(num_runs: int, most: int) -> int:
         num_runs: how many runs there are, at least 1.
         most: how many are wanted at a time, at least 1.
     """
+    require_whole("runs", num_runs, at_least=1)
+    require_whole("slots", most, at_least=1)
     devices = len(learning_devices())
     power = 2 ** math.ceil(math.log2(num_runs))
     return max(math.ceil(min(power, most) / devices), 2) * devices

@@ -70,7 +70,7 @@ def bootstrap_interval(
         level: coverage, between 0 and 1.
 
     Returns:
-        (low, high), each [] or [T]. With S = 1 both equal the statistic itself.
+        (low, high), each [] or [T]. With S = 1 both equal the statistic itself; NaN where that is.
 
     Raises:
         ValueError: if there is no seed, or an axis too many.
@@ -82,7 +82,7 @@ def bootstrap_interval(
     drawn = rng.integers(seeds, size=(resamples, seeds))
     quantiles = [(1.0 - level) / 2.0, (1.0 + level) / 2.0]
     if values.ndim == 1:
-        low, high = np.quantile(statistic(values[drawn], 1), quantiles)
+        low, high = _quantiles(statistic(values[drawn], 1), quantiles, statistic(values, 0))
         return low, high
     # Seeds last, [T, resamples, S], so that the statistic walks through memory in order.
     curves = np.ascontiguousarray(values.T)
@@ -90,8 +90,14 @@ def bootstrap_interval(
     points = max(1, _CHUNK_ELEMENTS // drawn.size)
     for start in range(0, len(curves), points):
         part = slice(start, start + points)
-        low[part], high[part] = np.quantile(statistic(curves[part][:, drawn], 2), quantiles, axis=1)
+        resampled = statistic(curves[part][:, drawn], 2)
+        low[part], high[part] = _quantiles(resampled, quantiles, statistic(curves[part], 1))
     return low, high
+
+
+def _quantiles(resampled: np.ndarray, quantiles: list[float], of_all: np.ndarray) -> np.ndarray:
+    """Quantiles along the last axis; NaN where the statistic of all seeds is, drawn or not."""
+    return np.where(np.isnan(of_all), np.nan, np.quantile(resampled, quantiles, axis=-1))
 
 
 def probability_of_improvement(
@@ -114,7 +120,8 @@ def probability_of_improvement(
         level: coverage, between 0 and 1.
 
     Returns:
-        (probability, low, high). With S = 1 all three are equal.
+        (probability, low, high). With S = 1 all three are equal. NaN where a score is NaN: it
+        neither wins nor loses.
 
     Raises:
         ValueError: if the shapes differ or there is no pair.
@@ -122,7 +129,7 @@ def probability_of_improvement(
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     if x.shape != y.shape or x.ndim != 1:
         raise ValueError(f"x {x.shape} and y {y.shape}: must be [S], one score for each seed")
-    wins = (x > y) + 0.5 * (x == y)
+    wins = np.where(np.isnan(x) | np.isnan(y), np.nan, (x > y) + 0.5 * (x == y))
     low, high = bootstrap_interval(wins, mean, rng, resamples, level)
     return float(np.mean(wins)), float(low), float(high)
 
@@ -152,7 +159,7 @@ def trailing_mean(x: np.ndarray, window: int) -> np.ndarray:
     return np.concatenate([start, full])
 
 
-def first_passage(trailing: np.ndarray, threshold: float, window: int) -> int | None:
+def first_passage(trailing: np.ndarray, threshold: float, window: int) -> float | None:
     """The first episode, counted from 1, at which the trailing mean reaches a threshold.
 
     Args:
@@ -162,7 +169,11 @@ def first_passage(trailing: np.ndarray, threshold: float, window: int) -> int | 
             first episode would.
 
     Returns:
-        The episode, or None if it never happens.
+        The episode, a whole number, or None if it never happens; NaN if a mean before it is NaN,
+        which may have reached the threshold.
     """
-    reached = np.flatnonzero(np.asarray(trailing)[window - 1 :] >= threshold)
-    return int(reached[0]) + window if reached.size else None
+    full = np.asarray(trailing)[window - 1 :]
+    reached = np.flatnonzero((full >= threshold) | np.isnan(full))
+    if not reached.size:
+        return None
+    return float("nan") if np.isnan(full[reached[0]]) else int(reached[0]) + window

@@ -10,7 +10,7 @@ import numpy as np
 
 from hitl_jax import arbiter
 from hitl_jax.config import AgentConfig, RunHyper
-from hitl_jax.decisions import EXTRA_COLUMNS, flag_of
+from hitl_jax.decisions import CHECKED_COLUMNS, EXTRA_COLUMNS, flag_of
 from hitl_jax.envs import StepBatch
 from hitl_jax.episodes import Episode
 from hitl_jax.recording import STEP_COLUMNS
@@ -25,6 +25,25 @@ def step_width(layout: Layout) -> int:
 def logged_layout(layout: Layout) -> Layout:
     """The columns of a step that is kept, which begins with the action."""
     return layout._replace(observation_size=0)
+
+
+def finite_decision(decided: np.ndarray, layout: Layout) -> np.ndarray:
+    """Whether all that is checked of what acting gave is finite, bool [N].
+
+    Args:
+        decided: of N walkers, [N, W + 6].
+        layout: its columns.
+    """
+    columns = [decided[:, getattr(layout, name)] for name in CHECKED_COLUMNS]
+    return np.isfinite(np.column_stack(columns)).all(axis=1)
+
+
+def finite_answer(answer: StepBatch) -> dict[str, np.ndarray]:
+    """Whether the observation and the reward that the plant answered are finite, bool [N] each."""
+    return {
+        "observation": np.isfinite(answer.observation).all(axis=1),
+        "reward": np.isfinite(answer.reward),
+    }
 
 
 def complete(decided: np.ndarray, answer: StepBatch, layout: Layout) -> np.ndarray:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hitl_jax import stats
+from hitl_jax.episodes import LOST_TESTS
 from hitl_jax.files import write_text_atomic
 from hitl_jax.results import ResultsFolder, Run
 from hitl_jax.tables import Table, select
@@ -107,7 +108,8 @@ def write_summary(folder: ResultsFolder, rng: np.random.Generator) -> list[pathl
     Raises:
         ResultsError: if a run is damaged or a file cannot be written.
     """
-    rows = summarise(folder)
+    runs = folder.load_all()
+    rows = [summarise_run(run) for run in runs]
     unfinished = Counter(key.method for key in folder.load_partials())
     table, report = folder.path / "summary.csv", folder.path / "summary.md"
     text = io.StringIO()
@@ -115,7 +117,7 @@ def write_summary(folder: ResultsFolder, rng: np.random.Generator) -> list[pathl
     writer.writeheader()
     writer.writerows(rows)
     write_text_atomic(table, text.getvalue())
-    write_text_atomic(report, _report(rows, unfinished, rng))
+    write_text_atomic(report, _report(runs, unfinished, rng))
     return [table, report]
 
 
@@ -163,14 +165,14 @@ def summarise_run(run: Run) -> Row:
         "alarm_agreement": _ratio(
             episodes["true_alarms"], episodes["true_alarms"] + episodes["false_alarms"]
         ),
-        "final_boundary": _last(episodes["final_boundary"]),
+        "final_boundary": _known(_last(episodes["final_boundary"])),
         "diverged": int(run.diverged),
         "wall_seconds": run.info["wall_seconds"],
     }
     for mark in THRESHOLDS:
         passage = stats.first_passage(trailing, mark, WINDOW)
         row[f"episodes_to_{mark}"] = passage
-        row[f"steps_to_{mark}"] = passage and int(episodes["env_steps"][passage - 1])
+        row[f"steps_to_{mark}"] = passage and int(episodes["env_steps"][int(passage) - 1])
     row |= _alarms_before_falls(autonomous)
     return {name: row[name] for name in SUMMARY_COLUMNS}
 
@@ -191,14 +193,18 @@ def _alarms_before_falls(autonomous: Table) -> Row:
     }
 
 
-def _report(rows: tuple[Row, ...], unfinished: Counter[str], rng: np.random.Generator) -> str:
+def _report(runs: list[Run], unfinished: Counter[str], rng: np.random.Generator) -> str:
+    rows = tuple(summarise_run(run) for run in runs)
     finished = Counter(row["method"] for row in rows)
     methods = list(finished)
+    lost = Counter({run.key: run.lost_tests for run in runs})
     lines = ["# Summary", ""]
     for m in finished | unfinished:
         line = f"- {m}: seeds finished {finished[m]}, under way {unfinished[m]}"
         if diverged := [str(row["seed"]) for row in rows if row["method"] == m and row["diverged"]]:
             line += f"; diverged, counted as falling at once from there on: {', '.join(diverged)}"
+        if told := [f"seed {key.seed} has {n}" for key, n in (+lost).items() if key.method == m]:
+            line += f"; {LOST_TESTS}: {', '.join(told)}"
         lines.append(line)
     if not rows:
         return "\n".join([*lines, "", "No run has finished yet: nothing to summarise.", ""])
@@ -284,5 +290,9 @@ def _ratio(part: np.ndarray, whole: np.ndarray) -> float | None:
 
 
 def _last(values: np.ndarray) -> Any:
-    last = values[-1].item() if len(values) else None
-    return None if last != last else last  # NaN alone differs from itself
+    return values[-1].item() if len(values) else None
+
+
+def _known(value: Any) -> Any:
+    """None for the NaN that stands in a table where there is no boundary."""
+    return None if value != value else value  # NaN alone differs from itself.

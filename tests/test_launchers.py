@@ -44,7 +44,7 @@ def test_a_group_takes_a_machine(machines, places):
 
 def test_a_run_that_is_made_twice_comes_once():
     def tested(key):
-        run = Run(RunSpec(Method.SRL, key.seed, None, 1), 0)
+        run = Run(RunSpec(Method.SRL, key.seed, hyper_for(Method.SRL, Hyper()), 1), 0)
         return training.Tested(FinishedRun(run, {}, np.zeros(())), [], [], 1.0, "", {}, "")
 
     async def attempts():

@@ -27,7 +27,8 @@ from hitl_jax.commands.progress import Progress
 from hitl_jax.commands.signals import Interrupted
 from hitl_jax.commands.training import Batch, Plant, Tested, make_team
 from hitl_jax.commands.under_way import SAVE_SECONDS
-from hitl_jax.config import Hyper, Method, hyper_for, require
+from hitl_jax.config import Hyper, Method, hyper_for, require_seeds, require_whole
+from hitl_jax.evaluation import MOST_TEST_EPISODES
 from hitl_jax.figure_parts import paper_style, save
 from hitl_jax.files import ResultsError, locked, write_text_atomic
 from hitl_jax.provenance import short_commit
@@ -116,9 +117,9 @@ def _names(options: AblationOptions) -> list[str]:
     """The ablations that are asked for; ValueError with one line for options that cannot be run."""
     if options.name != "all" and options.name not in ABLATIONS:
         raise ValueError(f"NAME {options.name}: must be one of {', '.join(ABLATIONS)}, all")
-    for name in ("seeds", "episodes", "test_episodes"):
-        require(name, getattr(options, name), at_least=1)
-    require("first_seed", options.first_seed, at_least=0)
+    require_seeds(options.first_seed, options.seeds)
+    require_whole("episodes", options.episodes, at_least=1)
+    require_whole("test_episodes", options.test_episodes, 1, MOST_TEST_EPISODES)
     return list(ABLATIONS) if options.name == "all" else [options.name]
 
 

@@ -8,7 +8,7 @@ from hitl_jax.commands.agreements.returns import measure_scripted, measure_train
 from hitl_jax.commands.agreements.states import measure_rollout, measure_step
 from hitl_jax.commands.benchmarks.timing import Row, print_rows
 from hitl_jax.commands.cli import BadInput
-from hitl_jax.config import require
+from hitl_jax.config import MOST_SEED, require_whole
 from hitl_jax.envs import HARDCORE_WALKER, WALKER
 
 
@@ -57,8 +57,8 @@ def main(options: AgreementOptions) -> int:
         raise BadInput(f"--only {' '.join(options.only)}: must be some of {', '.join(there_are)}")
     try:
         for name in ("episodes", "test_episodes", "runs"):
-            require(name, getattr(options, name), at_least=1)
-        require("seed", options.seed, at_least=0)
+            require_whole(name, getattr(options, name), at_least=1)
+        require_whole("seed", options.seed, at_most=MOST_SEED)
     except ValueError as error:
         raise BadInput(str(error)) from error
     for folder in options.trained:

@@ -119,11 +119,11 @@ def _rows(key: RunKey, boundaries: np.ndarray, counts: AlarmCounts) -> list[dict
             "seed": key.seed,
             "boundary": round(float(boundary), 6),
             "steps": counts.steps,
-            "alarms": int(counts.alarms[place]),
-            "timely_alarms": int(counts.timely_alarms[place]),
+            "alarms": counts.alarms[place].item(),
+            "timely_alarms": counts.timely_alarms[place].item(),
             "falls": counts.falls,
-            "warned_falls": int(counts.warned_falls[place]),
-            "lead_steps": int(counts.lead_steps[place]),
+            "warned_falls": counts.warned_falls[place].item(),
+            "lead_steps": counts.lead_steps[place].item(),
         }
         for place, boundary in enumerate(boundaries)
     ]

@@ -16,7 +16,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from hitl_jax.commands.cli import BadInput
 from hitl_jax.commands.compile_cache import keep_programs
-from hitl_jax.config import require
+from hitl_jax.config import MOST_SEED, require_whole
 from hitl_jax.walker.brax_env import BipedalWalker
 from hitl_jax.walker.env import MOST_STEPS
 
@@ -58,9 +58,9 @@ def main(options: PpoOptions) -> int:
     """
     try:
         for name in ("steps", "walkers", "unroll", "test_walkers"):
-            require(name, getattr(options, name), at_least=1)
-        for name in ("evaluations", "seed"):
-            require(name, getattr(options, name), at_least=0)
+            require_whole(name, getattr(options, name), at_least=1)
+        require_whole("evaluations", options.evaluations)
+        require_whole("seed", options.seed, at_most=MOST_SEED)
         if options.walkers % 16:
             raise ValueError(f"--walkers {options.walkers}: must be a multiple of 16")
     except ValueError as error:

@@ -9,10 +9,21 @@ from hitl_jax.commands import judgements, shards
 from hitl_jax.commands.launchers import LaunchOptions
 from hitl_jax.commands.shards import Shard
 from hitl_jax.commands.under_way import SAVE_SECONDS
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require, validate_hyper
+from hitl_jax.config import (
+    AgentConfig,
+    Hyper,
+    Method,
+    hyper_for,
+    require,
+    require_seeds,
+    require_whole,
+    validate_hyper,
+)
 from hitl_jax.envs import BACKENDS
-from hitl_jax.evaluation import milestones
+from hitl_jax.evaluation import MOST_TEST_EPISODES, milestones
 from hitl_jax.runs import LoopConfig, RunSpec
+
+_MOST_WORKERS = 1024
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,12 +135,12 @@ class SweepOptions:
         if len(set(self.methods)) < len(self.methods):
             raise ValueError(f"--methods {' '.join(self.methods)}: each at most once")
         scale = self.scale()
-        for field in dataclasses.fields(scale):
-            require(field.name, getattr(scale, field.name), at_least=1)
-        require("first_seed", self.first_seed, at_least=0)
-        require("slots", self.slots, at_least=1)
+        require_seeds(self.first_seed, scale.seeds)
+        require_whole("episodes", scale.episodes, at_least=1)
+        require_whole("test_episodes", scale.test_episodes, 1, MOST_TEST_EPISODES)
+        require_whole("slots", self.slots, at_least=1)
         if self.workers is not None:
-            require("workers", self.workers, at_least=1)
+            require_whole("workers", self.workers, 1, _MOST_WORKERS)
         require("save_seconds", self.save_seconds, at_least=0.0)
         self.launch.checked()
         if not self.specs():

@@ -28,7 +28,7 @@ from hitl_jax.commands.progress import Progress
 from hitl_jax.commands.signals import Interrupted
 from hitl_jax.commands.training import Batch, Plant, Tested, make_team, policy_digest
 from hitl_jax.envs import make_pool
-from hitl_jax.episodes import ALARM_WINDOW
+from hitl_jax.episodes import ALARM_WINDOW, LOST_TESTS, num_lost
 from hitl_jax.files import ResultsError, locked
 from hitl_jax.human import recorded
 from hitl_jax.results import ResultsFolder
@@ -175,6 +175,7 @@ class _Sweep:
             "env_steps": run.env_steps,
             "updates": run.updates,
             "diverged": run.diverged and run.diverged._asdict(),
+            "lost_tests": num_lost([*tested.tests, *tested.progress]),
             "commit": tested.commit,
             "versions": tested.versions,
             "machine": tested.machine,
@@ -195,6 +196,7 @@ class _Sweep:
             f"finished {key.method} seed {key.seed}: {run.env_steps:,} steps, "
             f"test return {np.mean(alone):.1f} over {len(alone)} episodes"
             + (f"; diverged: {run.diverged}" if run.diverged else "")
+            + (f"; {LOST_TESTS}: {info['lost_tests']}" if info["lost_tests"] else "")
         )
 
     def _draw_now_and_then(self) -> None:

@@ -19,11 +19,18 @@ from hitl_jax.agent import make_agent
 from hitl_jax.commands.changes import Changes, changed
 from hitl_jax.commands.cli import BadInput, checking_input
 from hitl_jax.commands.compile_cache import keep_programs
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require
+from hitl_jax.config import (
+    AgentConfig,
+    Hyper,
+    Method,
+    hyper_for,
+    require_seeds,
+    require_whole,
+)
 from hitl_jax.differences import completed
 from hitl_jax.envs import make_pool
 from hitl_jax.episodes import FALL_REWARD
-from hitl_jax.evaluation import Evaluator, evaluate_runs
+from hitl_jax.evaluation import MOST_TEST_EPISODES, Evaluator, evaluate_runs
 from hitl_jax.provenance import git_commit, short_commit
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import FinishedRun, LoopConfig, Run, RunSpec, num_slots
@@ -125,10 +132,9 @@ def _check(options: TuningOptions) -> None:
     if unknown or not options.configurations:
         given = " ".join(options.configurations) or "(none)"
         raise ValueError(f"--only {given}: must be some of {', '.join(CONFIGURATIONS)}")
-    for name in ("seeds", "test_episodes"):
-        require(name, getattr(options, name), at_least=1)
-    require("ticks", options.ticks, at_least=_STAGES * LoopConfig().chunk)
-    require("first_seed", options.first_seed, at_least=0)
+    require_seeds(options.first_seed, options.seeds)
+    require_whole("test_episodes", options.test_episodes, 1, MOST_TEST_EPISODES)
+    require_whole("ticks", options.ticks, at_least=_STAGES * LoopConfig().chunk)
 
 
 def _budget(options: TuningOptions) -> dict[str, int]:

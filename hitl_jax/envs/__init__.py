@@ -3,6 +3,7 @@
 But for the numbers of gymnasium's walker, which `hitl_jax.walker.parts` reads.
 """
 
+import numbers
 import os
 
 from hitl_jax.envs.base import Command, StepBatch, WalkerError, WalkerPool
@@ -89,5 +90,6 @@ def num_cores() -> int:
 
 
 def _require_count(name: str, value: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if not whole or value < 1:
         raise ValueError(f"{name} {value!r}: must be a whole number of at least 1")

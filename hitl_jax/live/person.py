@@ -82,7 +82,7 @@ def hands(num_actions: int, assistant: ActionSource | None = None) -> ActionSour
     helper = assistant or scripted_walker()
 
     def init() -> Hands:
-        return Hands(jnp.zeros((), bool), jnp.zeros((num_actions,)), helper.init())
+        return Hands(jnp.zeros((), bool), jnp.zeros((num_actions,), jnp.float32), helper.init())
 
     def act(state: Hands, observation: chex.Array, key: chex.PRNGKey) -> tuple[Hands, chex.Array]:
         assistant_state, action = helper.act(state.assistant, observation, key)

@@ -254,6 +254,8 @@ class Session:
             raise WalkerError(f"frame {number}: the learner diverged: its numbers are not finite")
         flags = {n: bool(v) for n, v in decisions.flags_of(decided[None], layout).items()}
         answer = self.plant.step(decided[layout.action])
+        if not (np.isfinite(answer.observation).all() and np.isfinite(answer.reward)):
+            raise WalkerError(f"frame {number}: what the walker answered is not finite")
         self._books.note_step(number, decided[: layout.width], flags, answer)
         if self.setup.with_person and flags["control"]:
             flags["began"] = self._credit(number, flags["human_action"])

@@ -68,7 +68,7 @@ def reset(key: jax.Array, hardcore: bool = False) -> tuple[Walker, jax.Array]:
     Returns:
         The walker, and the first observation [24].
     """
-    walker, first = step(made(key, hardcore), jnp.zeros(ACTION_SIZE))
+    walker, first = step(made(key, hardcore), jnp.zeros(ACTION_SIZE, jnp.float32))
     return walker, first.observation
 
 
@@ -84,7 +84,7 @@ def made(key: jax.Array, hardcore: bool = False) -> Walker:
     """
     ground_key, push_key = jax.random.split(key)
     most = _official.INITIAL_RANDOM
-    push = jax.random.uniform(push_key, minval=-most, maxval=most)
+    push = jax.random.uniform(push_key, (), jnp.float32, -most, most)
     return made_on(terrain.drawn(ground_key, hardcore), push)
 
 
@@ -187,6 +187,7 @@ def step(walker: Walker, action: jax.Array) -> tuple[Walker, Step]:
     Returns:
         The walker after it, and what came of it. After the end of an episode it means nothing.
     """
+    action = jnp.asarray(action, jnp.float32)
     after, observation, place = _advance_one(walker.world, action, walker.terrain)
     shaping = 130 * place / _official.SCALE - 5.0 * jnp.abs(observation[0])
     effort = (_EFFORT * jnp.clip(jnp.abs(action), 0, 1)).sum()

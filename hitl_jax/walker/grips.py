@@ -130,7 +130,7 @@ def prepare(manifold: Manifold, part: Pose) -> Grips:
 
 def _sign(manifold: Manifold) -> jax.Array:
     """Along which way the skin lies: a point of the ground is moved towards the part."""
-    return jnp.where(manifold.on_edge, 1.0, -1.0)
+    return jnp.where(manifold.on_edge, 1.0, jnp.float32(-1.0))
 
 
 def _at(grips: Grips, slot: int) -> Grips:

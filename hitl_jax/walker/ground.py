@@ -70,7 +70,7 @@ def near_parts(terrain: Terrain, left: jax.Array) -> Near:
     Returns:
         Edges and boxes [slots, parts, B].
     """
-    index = _first(left) + jnp.arange(SLOTS)[::-1, None, None]
+    index = _first(left) + jnp.arange(SLOTS, dtype=jnp.int32)[::-1, None, None]
     return Near(_edges(terrain.heights, index), _boxes(terrain.boxes, index))
 
 
@@ -84,7 +84,7 @@ def near_hull(terrain: Terrain, left: jax.Array) -> Near:
     Returns:
         Edges and boxes [edges, B].
     """
-    index = _first(left) + jnp.arange(_HULL_EDGES)[:, None]
+    index = _first(left) + jnp.arange(_HULL_EDGES, dtype=jnp.int32)[:, None]
     return Near(_edges(terrain.heights, index), _boxes(terrain.boxes, index))
 
 
@@ -98,7 +98,7 @@ def lidar(terrain: Terrain, place: Vec) -> jax.Array:
     Returns:
         Shares [10, B], 1 where a ray meets nothing.
     """
-    index = _first(place.x) - 1 + jnp.arange(_WINDOW)[:, None]
+    index = _first(place.x) - 1 + jnp.arange(_WINDOW, dtype=jnp.int32)[:, None]
     shares = _shares(_edges(terrain.heights, index), place)
     boxes = _boxes(terrain.boxes, index)
     if boxes is None:

@@ -19,7 +19,7 @@ from hitl_jax.walker.plane import Pose, Speeds, Vec, cross, dot, pose, vec
 
 Tree = TypeVar("Tree")
 
-_A, _B = np.array(parts.HINGES).T
+_A, _B = np.array(parts.HINGES, np.int32).T
 
 
 def _column(values: np.ndarray) -> jax.Array:
@@ -100,7 +100,8 @@ def prepare(body: Pose, angle: jax.Array, speed: jax.Array, torque: jax.Array) -
     """
     arm_a, arm_b = _turned(body, _A, _ANCHOR_A), _turned(body, _B, _ANCHOR_B)
     now = angles(angle)
-    side = jnp.where(now <= _LOWER, 1.0, jnp.where(now >= _UPPER, -1.0, 0.0))
+    beyond = jnp.where(now >= _UPPER, np.float32(-1.0), 0.0)
+    side = jnp.where(now <= _LOWER, 1.0, beyond)
     xx, xy, yy = _point_matrix(arm_a, arm_b)
     coupling = Vec(
         -arm_a.y * _INERTIA_A - arm_b.y * _INERTIA_B, arm_a.x * _INERTIA_A + arm_b.x * _INERTIA_B
@@ -306,7 +307,7 @@ def join(
     (place_a, turn_a), (place_b, turn_b) = pair
     # How far beyond the limit, the same for both limits but for the sign.
     angle = turn_b - turn_a - reference
-    bound = jnp.where(side > 0, float(parts.LOWER[index]), float(parts.UPPER[index]))
+    bound = jnp.where(side > 0, np.float32(parts.LOWER[index]), np.float32(parts.UPPER[index]))
     beyond = side * (bound - angle)
     good = (side == 0) | (beyond <= parts.ANGULAR_SLOP)
     excess = jnp.clip(beyond - parts.ANGULAR_SLOP, 0.0, parts.MAX_ANGULAR_CORRECTION)

@@ -43,8 +43,8 @@ def rarely(
     batch = needed.shape[0]
     width = min(_WIDTH, batch)
     # Places past the end are of none: read as the last, never written.
-    order = jnp.nonzero(needed, size=batch + width, fill_value=batch)[0]
-    count = needed.sum()
+    order = jnp.nonzero(needed, size=batch + width, fill_value=batch)[0].astype(jnp.int32)
+    count = needed.sum(dtype=jnp.int32)
 
     def some(carry: tuple[jax.Array, Tree]) -> tuple[jax.Array, Tree]:
         begin, state = carry

@@ -59,12 +59,9 @@ def grass(key: jax.Array) -> jax.Array:
     """
     official = parts.official
     push_key, stretch_key = jax.random.split(key)
-    pushes = jax.random.uniform(
-        push_key, (parts.TERRAIN_LENGTH,), minval=-1.0, maxval=1.0
-    ) / np.float32(official.SCALE)
-    shortest, longest = official.TERRAIN_GRASS // 2, official.TERRAIN_GRASS
-    stretches = jax.random.randint(stretch_key, (parts.TERRAIN_LENGTH,), shortest, longest)
-
+    shape = (parts.TERRAIN_LENGTH,)
+    pushes = _uniform(push_key, shape) / np.float32(official.SCALE)
+    stretches = _whole(stretch_key, shape, official.TERRAIN_GRASS // 2, official.TERRAIN_GRASS)
     heights: jax.Array = _profile_of_one(pushes, stretches)
     return heights
 
@@ -88,7 +85,7 @@ def _profile(pushes: jax.Array, stretches: jax.Array) -> jax.Array:
     zero = jnp.zeros_like(pushes[0])
     left = jnp.full_like(stretches[0], official.TERRAIN_STARTPAD)
     carry = zero + jnp.float32(start), zero, left, jnp.zeros_like(zero, bool)
-    drawn = jnp.arange(parts.TERRAIN_LENGTH), pushes, stretches
+    drawn = jnp.arange(parts.TERRAIN_LENGTH, dtype=jnp.int32), pushes, stretches
     heights: jax.Array = jax.lax.scan(corner, carry, drawn)[1]
     return heights
 
@@ -111,13 +108,23 @@ def rough(key: jax.Array) -> Terrain:
     shape = (parts.TERRAIN_LENGTH,)
     official = parts.official
     return planned(
-        jax.random.uniform(keys[0], shape, minval=-1.0, maxval=1.0) / np.float32(official.SCALE),
-        jax.random.randint(keys[1], shape, official.TERRAIN_GRASS // 2, official.TERRAIN_GRASS),
-        jax.random.randint(keys[2], shape, _STUMP, _PIT + 1),
-        jax.random.randint(keys[3], shape, 1, 3),
-        jax.random.randint(keys[4], shape, 3, 5),
-        jax.random.bernoulli(keys[5], shape=shape),
+        _uniform(keys[0], shape) / np.float32(official.SCALE),
+        _whole(keys[1], shape, official.TERRAIN_GRASS // 2, official.TERRAIN_GRASS),
+        _whole(keys[2], shape, _STUMP, _PIT + 1),
+        _whole(keys[3], shape, 1, 3),
+        _whole(keys[4], shape, 3, 5),
+        jax.random.bernoulli(keys[5], np.float32(0.5), shape),
     )
+
+
+def _uniform(key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+    """Numbers in [-1, 1), float32 whatever JAX is configured to; the key is consumed."""
+    return jax.random.uniform(key, shape, jnp.float32, -1.0, 1.0)
+
+
+def _whole(key: jax.Array, shape: tuple[int, ...], low: int, high: int) -> jax.Array:
+    """Whole numbers in [low, high), int32; the key is consumed."""
+    return jax.random.randint(key, shape, low, high, jnp.int32)
 
 
 def planned(

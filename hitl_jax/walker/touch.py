@@ -69,7 +69,7 @@ def pick(place: jax.Array, values: Vec) -> Vec:
         Vectors [...].
     """
     count = values.x.shape[0]
-    chosen = place == jnp.arange(count).reshape(-1, *[1] * place.ndim)
+    chosen = place == jnp.arange(count, dtype=jnp.int32).reshape(-1, *[1] * place.ndim)
     return Vec(*(jnp.where(chosen, axis, 0.0).sum(0) for axis in (values.x, values.y)))
 
 
@@ -256,8 +256,9 @@ def forward(manifold: Manifold, leading: jax.Array | bool = False) -> Manifold:
     taken = jnp.zeros_like(slot[0])
     for group in groups:
         members = group.astype(jnp.int32)
-        slot = jnp.where(group, taken + jnp.cumsum(members, axis=0) - members, slot)
-        taken = taken + members.sum(0)
+        before = jnp.cumsum(members, axis=0, dtype=jnp.int32) - members
+        slot = jnp.where(group, taken + before, slot)
+        taken = taken + members.sum(0, dtype=jnp.int32)
     slot = once(slot)
 
     def moved(leaf: jax.Array) -> jax.Array:

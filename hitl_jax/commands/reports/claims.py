@@ -5,7 +5,7 @@ and a verdict that follows from the two by a rule; nobody's opinion comes betwee
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -99,7 +99,7 @@ def _speed(results: Results, rng: np.random.Generator) -> Claim:
         high = np.quantile(passages[-1], 0.975, method="higher")
         cells.append(f"{method.upper()} {_episode(centre)} [{_episode(low)}, {_episode(high)}]")
     srl, fix, ac = passages
-    verdict, share = _in_resamples((ac <= _EARLY) & (ac < fix) & (fix < srl))
+    verdict, share = _in_resamples((ac <= _EARLY) & (ac < fix) & (fix < srl), passages)
     return Claim(
         "Training speed (Figure 4)",
         "HITL-AC improves near episode 400, HITL-FIX after 500, SRL is very poor for 800",
@@ -124,7 +124,8 @@ def _economy(results: Results, rng: np.random.Generator) -> Claim:
         cells.append(
             f"{method.upper()} {_thousands(median(steps))} [{_thousands(low)}, {_thousands(high)}]"
         )
-    verdict, share = _in_resamples(medians["hitl-ac"] < medians["srl"])
+    earlier = medians["hitl-ac"] < medians["srl"]
+    verdict, share = _in_resamples(earlier, list(medians.values()))
     return Claim(
         "Training speed over environment steps",
         "–",
@@ -149,7 +150,7 @@ def _skill(results: Results, rng: np.random.Generator) -> Claim:
             f"(mean {scores.mean():.0f} [{mean_low:.0f}, {mean_high:.0f}])"
         )
     srl, fix, ac = centres
-    verdict, share = _in_resamples((ac >= _GOOD) & (ac > fix) & (fix > srl))
+    verdict, share = _in_resamples((ac >= _GOOD) & (ac > fix) & (fix > srl), centres)
     return Claim(
         "Skill without the human (Figure 5)",
         "over 100 test episodes HITL-AC 279.7, HITL-FIX 260.5, SRL below",
@@ -213,7 +214,7 @@ def _boundary(results: Results, rng: np.random.Generator) -> Claim:
     for run in results.runs["hitl-ac"]:
         trace = run.episodes["final_boundary"]
         ends.append(trace[-1])
-        away = np.flatnonzero(np.abs(trace - results.tolerance) > _SETTLED)
+        away = np.flatnonzero(~(np.abs(trace - results.tolerance) <= _SETTLED))  # NaN is away.
         settled.append(away[-1] + 2.0 if away.size else 1.0)
         if settled[-1] > len(trace):
             settled[-1] = np.inf
@@ -226,7 +227,7 @@ def _boundary(results: Results, rng: np.random.Generator) -> Claim:
         f"{near.sum()} of {near.size} seeds, from {min(ends):.3f} to {max(ends):.3f} rad; within "
         f"{_SETTLED} rad for good from episode {_episode(np.median(settled))} on by the median "
         f"({_episode(min(settled))} to {_episode(max(settled))})",
-        HOLDS if near.all() else HOLDS_NOT,
+        UNDECIDED if np.isnan(ends).any() else HOLDS if near.all() else HOLDS_NOT,
     )
 
 
@@ -294,7 +295,7 @@ def _trailing_returns(run: Run) -> np.ndarray:
 
 def _steps_until_it_walks(run: Run) -> float:
     episode = stats.first_passage(_trailing_returns(run), _WALKS, WINDOW)
-    return np.inf if episode is None else float(run.episodes["env_steps"][episode - 1])
+    return np.inf if episode is None else float(run.episodes["env_steps"][int(episode) - 1])
 
 
 def _passage(curves: np.ndarray) -> float:
@@ -310,11 +311,25 @@ def _resamples(results: Results, rng: np.random.Generator) -> np.ndarray:
     return rng.integers(seeds, size=(RESAMPLES, seeds))
 
 
-def _in_resamples(holds: np.ndarray) -> tuple[str, str]:
-    """A verdict from the share of resamples in which a claim holds, and that share in words."""
-    share = float(holds.mean())
-    verdict = HOLDS if share >= 0.975 else HOLDS_NOT if share <= 0.025 else UNDECIDED
-    return verdict, f"so in {100 * share:.0f} % of resamples of the seeds"
+def _in_resamples(holds: np.ndarray, of: Sequence[np.ndarray]) -> tuple[str, str]:
+    """A verdict from the share of resamples in which a claim holds, and that share in words.
+
+    Args:
+        holds: bool [resamples].
+        of: the numbers that were compared, [resamples] each; NaN in one decides nothing.
+    """
+    share = share_of(holds, of)
+    return verdict_of(share), f"so in {100 * share:.0f} % of resamples of the seeds"
+
+
+def share_of(holds: np.ndarray, of: Sequence[np.ndarray]) -> float:
+    """The share of resamples in which a claim holds; NaN if a number that it compares is NaN."""
+    return float("nan") if np.isnan(of).any() else float(holds.mean())
+
+
+def verdict_of(share: float) -> str:
+    """What such a share says; NaN decides nothing."""
+    return HOLDS if share >= 0.975 else HOLDS_NOT if share <= 0.025 else UNDECIDED
 
 
 def _episode(passage: float) -> str:

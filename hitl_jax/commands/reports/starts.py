@@ -4,7 +4,16 @@ import numpy as np
 
 from hitl_jax import stats
 from hitl_jax.commands.ablations.store import Row
-from hitl_jax.commands.reports.claims import HOLDS, HOLDS_NOT, MARGIN, RESAMPLES, UNDECIDED, Claim
+from hitl_jax.commands.reports.claims import (
+    HOLDS,
+    HOLDS_NOT,
+    MARGIN,
+    RESAMPLES,
+    UNDECIDED,
+    Claim,
+    share_of,
+    verdict_of,
+)
 
 _RETURN = "test_return_mean"
 
@@ -20,7 +29,8 @@ def judge_starts(fixed: Starts, learned: Starts, default: str) -> list[Claim]:
         learned: HITL-AC's, of the same τ_0.
         default: the label of the τ_0 from which HITL-AC starts when nobody chooses.
     """
-    best = max(fixed, key=lambda label: _mean(fixed[label], _RETURN))
+    means = {label: _mean(runs, _RETURN) for label, runs in fixed.items()}
+    best = max(means, key=lambda label: (np.isnan(means[label]), means[label]))
     return [
         _from_anywhere(fixed, learned),
         _no_worse_than_the_best(fixed[best], learned[default], best),
@@ -61,7 +71,7 @@ def _less_work(fixed: list[Row], learned: list[Row], best: str) -> Claim:
     everyone = np.arange(len(fixed))
     costs = [[_cost(runs, seeds) for runs in (learned, fixed)] for seeds in (everyone, drawn)]
     (ours, theirs), (our_draws, their_draws) = costs
-    fewer = float((our_draws < their_draws).mean())
+    fewer = share_of(our_draws < their_draws, (our_draws, their_draws))
     return Claim(
         "Less human work",
         "–",
@@ -69,7 +79,7 @@ def _less_work(fixed: list[Row], learned: list[Row], best: str) -> Claim:
         "HITL-FIX's at the best τ_0 of the table",
         f"{ours:.2f} against {theirs:.2f} at τ_0 = {best}; fewer in {100 * fewer:.0f} % of "
         "resamples of the seeds",
-        HOLDS if fewer >= 0.975 else HOLDS_NOT if fewer <= 0.025 else UNDECIDED,
+        verdict_of(fewer),
     )
 
 
@@ -78,7 +88,7 @@ def _cost(runs: list[Row], seeds: np.ndarray) -> np.ndarray:
     # Each confirmed alarm is an intervention; with the default, reset, there are no others.
     alarms = _values(runs, "train_interventions") / _values(runs, "alarm_agreement")
     work, gained = alarms[seeds].mean(-1), _values(runs, _RETURN)[seeds].mean(-1)
-    return np.where(gained > 0, work / np.maximum(gained, 1e-9), np.inf)
+    return np.where(gained <= 0, np.inf, work / np.maximum(gained, 1e-9))
 
 
 def _difference(
