@@ -10,8 +10,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-from rich.console import Console
 from rich.table import Table
+
+from hitl_jax.commands.output import plain_console
 
 Row = dict[str, Any]
 
@@ -43,7 +44,7 @@ def print_rows(title: str, rows: list[Row]) -> None:
         table.add_column(name, justify="left" if words else "right")
     for row in rows:
         table.add_row(*(str(row.get(name, "")) for name in names))
-    Console(width=None if sys.stdout.isatty() else 120).print(table)
+    plain_console(None if sys.stdout.isatty() else 120).print(table)
 
 
 def memory_mb(children: bool = False) -> float:
