@@ -99,9 +99,9 @@ def test_full_results_give_every_figure_twice(folder):
         for seed in range(3):
             save(folder, method, seed)
     before = dict(matplotlib.rcParams)
-    paths, notes = draw_all(folder, rng())
+    paths, notes, failures = draw_all(folder, rng())
     assert dict(matplotlib.rcParams) == before
-    assert notes == []
+    assert notes == failures == []
     written = sorted(p.name for p in (folder.path / "figures").iterdir())
     assert written == sorted(f"{name}.{kind}" for name in NAMES for kind in ("png", "svg"))
     assert sorted(p.name for p in paths) == written
@@ -120,7 +120,7 @@ def test_early_results_draw_what_there_is(folder, drawn):
         folder.write_partial(RunKey("hitl-ac", seed), make_training("hitl-ac", seed, count))
     folder.write_partial(RunKey("srl", 0), make_training("srl", 0, 2))
     folder.write_partial(RunKey("srl", 1), make_training("srl", 1, 0))
-    _, notes = draw_all(folder, rng())
+    _, notes, _ = draw_all(folder, rng())
     assert [note.split(":")[0] for note in notes] == ["figure5_test", "figure5_progress"]
     text = text_of(drawn["figure4_training"])
     assert "HITL-AC (2 seeds, 2 unfinished)" in text
@@ -135,7 +135,7 @@ def test_early_results_draw_what_there_is(folder, drawn):
 
 def test_one_finished_run_of_one_method(folder, drawn):
     save(folder, "srl", 0, modes=("autonomous",))
-    _, notes = draw_all(folder, rng())
+    _, notes, _ = draw_all(folder, rng())
     without_human = {"figure6_boundary", "figure6_moves", "figure7_human"}
     assert {note.split(":")[0] for note in notes} == without_human
     assert "SRL (no interval: one seed)" in text_of(drawn["figure5_test"])
@@ -144,7 +144,7 @@ def test_one_finished_run_of_one_method(folder, drawn):
 @pytest.mark.parametrize("modes", [(), ("assisted",)])
 def test_runs_without_autonomous_tests_skip_figure_5(folder, drawn, modes):
     save(folder, "hitl-ac", 0, modes=modes)
-    _, notes = draw_all(folder, rng())
+    _, notes, _ = draw_all(folder, rng())
     assert [note.split(":")[0] for note in notes] == ["figure5_test", "figure5_progress"]
 
 
@@ -193,7 +193,7 @@ def test_another_indicator_is_not_called_radians(tmp_path, drawn):
 
 def test_the_same_data_give_the_same_files(folder):
     folder.write_partial(RunKey("hitl-ac", 0), make_training("hitl-ac", 0, 5))
-    first, second = ([p.read_bytes() for p in draw_all(folder, rng())[0]] for _ in range(2))
+    first, second = ([p.read_bytes() for p in draw_all(folder, rng()).paths] for _ in range(2))
     assert first == second
 
 
@@ -235,6 +235,6 @@ def test_a_diverged_run_counts_in_returns_and_nowhere_else(folder):
     assert [len(t["episode"]) for t in learned.played] == [40, 40, 40, 10]
     assert len(fixed.training) == 1
     assert fixed.played == []
-    paths, notes = draw_all(folder, rng())
-    assert notes == []
+    paths, notes, failures = draw_all(folder, rng())
+    assert notes == failures == []
     assert len(paths) == 2 * len(NAMES)

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import tyro
 
 from hitl_jax.envs import WalkerError
+from hitl_jax.figure_parts import Drawn
 from hitl_jax.files import ResultsError
 
 T = TypeVar("T")
@@ -52,6 +53,13 @@ def run_main(name: str, main: Callable[[Any], int], args: Sequence[str]) -> int:
     except KeyboardInterrupt:
         print("\nStopped at once.", file=sys.stderr)
         return 130
+
+
+def print_drawn(drawn: Drawn) -> int:
+    """Tells what was drawn and what not; the exit code, 1 if a figure could not be drawn."""
+    for line in drawn.lines:
+        print(line)
+    return 1 if drawn.failures else 0
 
 
 def first_line(error: BaseException) -> str:

@@ -235,5 +235,4 @@ def draw(folder: ResultsFolder) -> list[Any]:
         The paths written, and notes on what could not be drawn.
     """
     tables = write_summary(folder, np.random.default_rng(stats.SEED))
-    paths, notes = figures.draw_all(folder, np.random.default_rng(stats.SEED))
-    return [*tables, *paths, *notes]
+    return [*tables, *figures.draw_all(folder, np.random.default_rng(stats.SEED)).lines]

@@ -61,7 +61,7 @@ def memory_mb(children: bool = False) -> float:
     pages = 0
     for process in ["self", *(_children() if children else [])]:
         with contextlib.suppress(OSError):  # It may have ended meanwhile.
-            pages += int(proc.joinpath(process, "statm").read_text().split()[1])
+            pages += int(proc.joinpath(process, "statm").read_text(encoding="utf-8").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
@@ -104,7 +104,7 @@ def stolen_seconds() -> float:
     stat = pathlib.Path("/proc/stat")
     if not stat.exists():
         return 0.0
-    fields = stat.read_text().split("\n", 1)[0].split()
+    fields = stat.read_text(encoding="utf-8").split("\n", 1)[0].split()
     return int(fields[8]) / os.sysconf("SC_CLK_TCK")
 
 
@@ -115,11 +115,11 @@ class _Thread(NamedTuple):
 
 def _thread(stat: pathlib.Path) -> _Thread:
     """What Linux counts of a thread, or of all threads of a process; see proc(5)."""
-    fields = stat.read_text().rsplit(")", 1)[1].split()
+    fields = stat.read_text(encoding="utf-8").rsplit(")", 1)[1].split()
     ticks = int(fields[11]) + int(fields[12])
     return _Thread(ticks / os.sysconf("SC_CLK_TCK"), int(fields[16]))
 
 
 def _children() -> list[str]:
     tasks = pathlib.Path("/proc/self/task").glob("*/children")
-    return " ".join(task.read_text() for task in tasks).split()
+    return " ".join(task.read_text(encoding="utf-8") for task in tasks).split()
