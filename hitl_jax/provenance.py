@@ -4,6 +4,7 @@ import importlib.metadata
 import pathlib
 import platform
 import subprocess
+from typing import Any
 
 _PACKAGES = (
     "jax",
@@ -48,6 +49,11 @@ def git_commit() -> str | None:
         return _git(here.parent, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
     except (OSError, subprocess.SubprocessError):
         return None
+
+
+def origin() -> dict[str, Any]:
+    """What numbers that are made here depend on: `versions`, `commit` and `processor`."""
+    return {"versions": versions(), "commit": git_commit(), "processor": processor()}
 
 
 def processor() -> str:

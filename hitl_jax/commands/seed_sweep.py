@@ -73,7 +73,7 @@ def main(options: SweepOptions) -> int:
             except ResultsError as error:
                 raise BadInput(f"--out {error}") from error
         if changed:
-            print(f"{options.out} was begun with other code: {', '.join(changed)}", flush=True)
+            print(f"{options.out} was begun with {'; '.join(changed)}", flush=True)
         keep_programs()
         return _Sweep(options, agent, folder, config).run()
 
