@@ -114,8 +114,8 @@ def import_matplotlib() -> ModuleType:
     A notebook's server can name its own to every process that it starts. Where it is there, it
     stays what `pyplot` would take.
     """
-    if "matplotlib" in sys.modules:
-        return sys.modules["matplotlib"]
+    if known := sys.modules.get("matplotlib"):
+        return known
     backend = os.environ.pop("MPLBACKEND", None)
     try:
         import matplotlib

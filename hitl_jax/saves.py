@@ -130,7 +130,7 @@ class Saves:
                     told = f"is of format {head['format']}, another version's{_by(head)}"
                     raise ResultsError(f"{path}: {told}: must be {FORMAT}")
                 return self._assemble(head, arrays)
-            except (KeyError, TypeError) as error:
+            except (KeyError, TypeError, AttributeError) as error:
                 raise ValueError(f"is not of this program: {error!r}") from error
 
     def _assemble(
