@@ -4,6 +4,8 @@ import importlib
 import sys
 from collections.abc import Sequence
 
+from hitl_jax.commands.output import replace_what_cannot_be_encoded
+
 _COMMANDS = {
     "sweep": ("seed_sweep", "trains and tests the three methods over many seeds"),
     "figures": ("figures", "draws the figures of a results folder"),
@@ -36,6 +38,7 @@ def main(words: Sequence[str] | None = None) -> int:
     Returns:
         The exit code; 2 for bad input, after one line on stderr.
     """
+    replace_what_cannot_be_encoded()
     name, *options = (sys.argv[1:] if words is None else words) or ["--help"]
     if name in ("-h", "--help"):
         print("usage: hitl-jax COMMAND [OPTIONS]    (--help after a command lists its options)\n")

@@ -5,8 +5,10 @@ import pathlib
 from typing import Any
 
 from hitl_jax.files import ResultsError
+from hitl_jax.provenance import short_commit
 
 _MAX_DIFFERENCES = 5
+_THEN = ", then "
 
 CAME_LATER: dict[str, dict[str, Any]] = {"agent": {"matmul_precision": "float32"}}
 """Choices added since results were kept, by section, and the value that changes nothing."""
@@ -62,11 +64,35 @@ def require_same(path: pathlib.Path, has: dict[str, Any], asked: dict[str, Any])
     raise ConfigMismatch(f"{path}: made with another config: {shown}")
 
 
-def changes(document: dict[str, Any], provenance: dict[str, Any]) -> list[str]:
-    """Differences of commit and versions between what made a folder and now, a few words each."""
-    old, new = (
-        {"commit": source.get("commit"), **source.get("versions", {})}
-        for source in (document, provenance)
-    )
-    names = [name for name in old | new if old.get(name) != new.get(name)]
-    return [f"{name} {old.get(name)}, now {new.get(name)}" for name in names]
+def changes(made: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """Differences between what made something and what is here now, a few words each.
+
+    Args:
+        made: `versions` by package, `commit` and `processor`; what it lacks is not compared.
+        now: likewise, nothing lacking that `made` has.
+    """
+    old, new = _named(made), _named(now)
+    return [
+        f"{name} {value or 'unknown'}, now {new.get(name) or 'none'}"
+        for name, value in old.items()
+        if value != new.get(name)
+    ]
+
+
+def joined(earlier: dict[str, str], now: dict[str, str]) -> dict[str, str]:
+    """Versions of what was made in several sittings, by package: all of them, in their order."""
+    if not earlier:
+        return now
+    whole = {}
+    for name in earlier | now:
+        before, value = earlier.get(name, "none"), now.get(name, "none")
+        whole[name] = before if before.split(_THEN)[-1] == value else before + _THEN + value
+    return whole
+
+
+def _named(source: dict[str, Any]) -> dict[str, Any]:
+    """Commit, processor and versions on one level."""
+    named = {name: source[name] for name in ("commit", "processor") if name in source}
+    if "commit" in named:
+        named["commit"] = short_commit(named["commit"])
+    return named | source.get("versions", {})

@@ -2,20 +2,30 @@
 
 Colours keep the paper's roles (SRL red, HITL-FIX green, HITL-AC blue) in the colour-blind-safe
 shades of Okabe and Ito (https://jfly.uni-koeln.de/color/), and each method has its own line style.
+
+Matplotlib is imported when the first figure is drawn. What the user has set of it, by a
+`matplotlibrc`, a style or MPLBACKEND, changes no figure, and a figure changes nothing of that.
 """
 
-import io
-import pathlib
-from contextlib import AbstractContextManager
-from typing import Any
+from __future__ import annotations
 
-import matplotlib
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
+import contextlib
+import io
+import os
+import pathlib
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hitl_jax.curves import Curve
-from hitl_jax.files import write_bytes_atomic
+from hitl_jax.files import ResultsError, write_bytes_atomic
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
 SOLVED = 300.0
 """The return that counts as solving BipedalWalker."""
@@ -40,9 +50,111 @@ _STYLE: Any = {
 }
 
 
-def paper_style() -> AbstractContextManager[None]:
-    """Fonts, grid and frames of all figures, within a `with`."""
-    return matplotlib.rc_context(_STYLE)
+class Drawn(NamedTuple):
+    """What came of drawing.
+
+    Attributes:
+        paths: the files written.
+        no_data: a line for each figure that has no data yet.
+        failures: a line for each figure that could not be drawn, with the reason.
+    """
+
+    paths: list[pathlib.Path]
+    no_data: list[str]
+    failures: list[str]
+
+    @property
+    def lines(self) -> list[str]:
+        """All of it, to be printed."""
+        return [*map(str, self.paths), *self.no_data, *self.failures]
+
+
+def attempt(
+    drawings: Mapping[str, Callable[[], list[pathlib.Path] | None]], changes: Any = _STYLE
+) -> Drawn:
+    """Draws figures; one that cannot be drawn keeps no other from it.
+
+    Args:
+        drawings: by name; each draws and saves a figure, and returns its files, or None without
+            data for it.
+        changes: of matplotlib's own settings; by default the paper's fonts, grid and frames.
+
+    Raises:
+        ResultsError: if the folder is damaged or refuses, which is no fault of a figure.
+    """
+    drawn = Drawn([], [], [])
+    try:
+        import_matplotlib()
+    except Exception as error:  # Its import reads the user's files.
+        return drawn._replace(failures=[_failure(drawings, error)])
+    for name, draw in drawings.items():
+        try:
+            with style(changes):
+                paths = draw()
+        except ResultsError:
+            raise
+        except Exception as error:  # Matplotlib's, its plugins', a font's: any.
+            drawn.failures.append(_failure([name], error))
+            continue
+        if paths is None:
+            drawn.no_data.append(f"{name}: no data for it")
+        else:
+            drawn.paths.extend(paths)
+    return drawn
+
+
+def _failure(names: Iterable[str], error: Exception) -> str:
+    said = " ".join(str(error).split())
+    return f"{', '.join(names)}: could not be drawn: {type(error).__name__}: {said}"
+
+
+def import_matplotlib() -> ModuleType:
+    """Matplotlib, also where MPLBACKEND names a backend that is not there.
+
+    A notebook's server can name its own to every process that it starts. Where it is there, it
+    stays what `pyplot` would take.
+    """
+    if known := sys.modules.get("matplotlib"):
+        return known
+    backend = os.environ.pop("MPLBACKEND", None)
+    try:
+        import matplotlib
+    finally:
+        if backend is not None:
+            os.environ["MPLBACKEND"] = backend
+    if backend:
+        with contextlib.suppress(ValueError):
+            matplotlib.rcParams["backend"] = backend
+    return matplotlib
+
+
+@contextlib.contextmanager
+def style(changes: Any = _STYLE) -> Iterator[None]:
+    """Matplotlib's own settings with some changes, within a `with`, whatever the user's are."""
+    matplotlib = import_matplotlib()
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(changes)
+        yield
+
+
+def literal(text: str) -> str:
+    """A text that matplotlib shows as it is, with a "$" that begins no formula."""
+    return text.replace("$", r"\$")
+
+
+def line_mark(**looks: Any) -> Line2D:
+    """A line for a legend."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], **looks)
+
+
+def patch_mark(**looks: Any) -> Patch:
+    """A coloured area for a legend."""
+    from matplotlib.patches import Patch
+
+    return Patch(**looks)
 
 
 def draw_curve(axes: Axes, name: str, curve: Curve, unfinished: int = 0) -> Line2D:
@@ -93,6 +205,8 @@ def panels(
     rows: int, columns: int, size: tuple[float, float], sharex: bool = False
 ) -> tuple[Figure, list[Axes]]:
     """A figure of `size` inches, and its panels row by row."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=size, layout="constrained")
     return figure, list(figure.subplots(rows, columns, sharex=sharex, squeeze=False).flat)
 
@@ -109,7 +223,7 @@ def save(figure: Figure, stem: pathlib.Path) -> list[pathlib.Path]:
     """Writes a figure as PNG and SVG; the files written.
 
     Args:
-        figure: drawn under `paper_style`.
+        figure: drawn under `style`.
         stem: the files' path without its ending.
 
     Raises:

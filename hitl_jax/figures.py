@@ -5,14 +5,14 @@ bootstrap 95 % bands. Where seeds have data of different lengths, each point is 
 reach it, and the curve ends where fewer than half do.
 """
 
+from __future__ import annotations
+
+import functools
 import pathlib
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from hitl_jax import stats
 from hitl_jax.curves import Curve, over_episodes, over_seeds, over_steps
@@ -22,19 +22,27 @@ from hitl_jax.figure_parts import (
     COLUMN,
     GREY,
     PAGE,
+    Drawn,
+    attempt,
     draw_band,
     draw_curve,
     legend,
+    line_mark,
     line_style,
+    literal,
     mark_solved,
     method_label,
     panels,
-    paper_style,
     save,
 )
 from hitl_jax.results import ResultsFolder
 from hitl_jax.summary import skill_over_training
 from hitl_jax.tables import METHODS, Table, select
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 
 class _Method(NamedTuple):
@@ -72,17 +80,12 @@ class _Data(NamedTuple):
     moves: _Moves | None
 
 
-def draw_all(
-    folder: ResultsFolder, rng: np.random.Generator
-) -> tuple[list[pathlib.Path], list[str]]:
+def draw_all(folder: ResultsFolder, rng: np.random.Generator) -> Drawn:
     """Draws every figure that the data allow, early data of unfinished runs included.
 
     Args:
         folder: the results.
         rng: drawn from for the bootstrap intervals.
-
-    Returns:
-        The files written, and a note for each figure that has no data yet.
 
     Raises:
         ResultsError: if the folder or a run is damaged, or a file cannot be written.
@@ -97,16 +100,12 @@ def draw_all(
         "figure6_moves": _draw_moves,
         "figure7_human": _draw_human,
     }
-    paths: list[pathlib.Path] = []
-    notes: list[str] = []
-    with paper_style():
-        for name, draw in drawings.items():
-            figure = draw(data, rng)
-            if figure is None:
-                notes.append(f"{name}: no data for it")
-                continue
-            paths += save(figure, folder.path / "figures" / name)
-    return paths, notes
+
+    def make(name: str) -> list[pathlib.Path] | None:
+        figure = drawings[name](data, rng)
+        return None if figure is None else save(figure, folder.path / "figures" / name)
+
+    return attempt({name: functools.partial(make, name) for name in drawings})
 
 
 def _load(folder: ResultsFolder) -> _Data:
@@ -146,7 +145,7 @@ def boundary_label(folder: ResultsFolder) -> str:
     config = flatten(folder.load_config())
     indicators = [value for key, value in config.items() if key.split(".")[-1] == "indicator"]
     in_radians = set(indicators) <= {"hull_angle"}
-    return "boundary [rad]" if in_radians else f"boundary [unit of {indicators[0]}]"
+    return "boundary [rad]" if in_radians else literal(f"boundary [unit of {indicators[0]}]")
 
 
 def tolerance_in(folder: ResultsFolder) -> float | None:
@@ -209,13 +208,13 @@ def _draw_tests(data: _Data, rng: np.random.Generator) -> Figure | None:
     for axes in (left, right):
         mark_solved(axes, "")  # good walkers stand where the word would
     marks = [
-        Line2D([], [], color=GREY, marker="o", markerfacecolor=face, label=label)
+        line_mark(color=GREY, marker="o", markerfacecolor=face, label=label)
         for face, label in (
             (GREY, "autonomous: mean over seeds, bootstrap 95 % interval; small: each seed"),
             ("white", "assisted by the human: likewise"),
         )
     ]
-    lines.append(Line2D([], [], color=GREY, linewidth=0.9, linestyle="--", label="solved"))
+    lines.append(line_mark(color=GREY, linewidth=0.9, linestyle="--", label="solved"))
     figure.legend(handles=lines, loc="outside upper center", ncols=4)
     figure.legend(handles=marks, loc="outside lower center", ncols=2)
     return figure

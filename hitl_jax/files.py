@@ -30,10 +30,13 @@ class ResultsError(ValueError):
 def write_text_atomic(path: pathlib.Path, text: str) -> None:
     """Writes a text so that `path` holds the old one or the whole new one, never a part.
 
+    In UTF-8, whatever the locale; "?" for what is no character, as in a folder's name that is not
+    text.
+
     Raises:
         ResultsError: if it cannot be written.
     """
-    write_bytes_atomic(path, text.encode())
+    write_bytes_atomic(path, text.encode(errors="replace"))
 
 
 def write_bytes_atomic(path: pathlib.Path, data: bytes) -> None:
@@ -98,7 +101,7 @@ def locked(folder: pathlib.Path) -> Iterator[None]:
                 owner = f"process {os.getpid()} on {platform.node()} since {since}"
                 # Past the buffer, which on a full disk would fail once more when it is closed.
                 os.ftruncate(file.fileno(), 0)
-                os.write(file.fileno(), owner.encode())
+                os.write(file.fileno(), owner.encode(errors="replace"))
             yield
         finally:
             with contextlib.suppress(OSError):  # What led here says more.
@@ -113,7 +116,7 @@ def _is_there(path: pathlib.Path, file: TextIO) -> bool:
 
 def _open_lock(path: pathlib.Path) -> TextIO:
     while True:
-        file = open(path, "a+")  # noqa: SIM115, the caller closes it
+        file = open(path, "a+", encoding="utf-8", errors="replace")  # noqa: SIM115, the caller closes it
         file.seek(0)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -4,6 +4,7 @@ import importlib.metadata
 import pathlib
 import platform
 import subprocess
+from typing import Any
 
 _PACKAGES = (
     "jax",
@@ -50,10 +51,15 @@ def git_commit() -> str | None:
         return None
 
 
+def origin() -> dict[str, Any]:
+    """What numbers that are made here depend on: `versions`, `commit` and `processor`."""
+    return {"versions": versions(), "commit": git_commit(), "processor": processor()}
+
+
 def processor() -> str:
     """The processor's name."""
     try:
-        with open("/proc/cpuinfo") as lines:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
             names = [line.partition(":")[2].strip() for line in lines if "model name" in line]
     except OSError:
         names = []
@@ -72,6 +78,12 @@ def short_commit(commit: str | None) -> str:
 
 def _git(folder: pathlib.Path, *arguments: str) -> str:
     done = subprocess.run(
-        ["git", *arguments], cwd=folder, capture_output=True, text=True, check=True, timeout=30
+        ["git", *arguments],
+        cwd=folder,
+        capture_output=True,
+        encoding="utf-8",
+        errors="replace",
+        check=True,
+        timeout=30,
     )
     return done.stdout.strip()

@@ -347,7 +347,7 @@ def _plain(value: Any) -> Any:
 
 def _read_json(path: pathlib.Path, required: tuple[str, ...]) -> dict[str, Any]:
     with named_errors(path):
-        document = json.loads(path.read_text())
+        document = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise ResultsError(f"{path}: is not of format {FORMAT} of this program")
         missing = [name for name in required if name not in document]
@@ -376,4 +376,4 @@ def _read_npz(path: pathlib.Path) -> dict[str, np.ndarray]:
 
 def _read_table(path: pathlib.Path, names: tuple[str, ...]) -> Table:
     with named_errors(path):
-        return table_from_csv(path.read_text(), names)
+        return table_from_csv(path.read_text(encoding="utf-8"), names)

@@ -21,7 +21,9 @@ from typing import Any
 
 import numpy as np
 
+from hitl_jax.differences import changes
 from hitl_jax.files import ResultsError, named_errors, remove_leftovers, write_bytes_atomic
+from hitl_jax.provenance import origin
 from hitl_jax.run_key import RunKey
 from hitl_jax.saved import SavedRun
 from hitl_jax.tables import EPISODE_COLUMNS, table_from_csv, table_to_csv, to_columns, to_table
@@ -125,10 +127,10 @@ class Saves:
             try:
                 head = json.loads(_to_text(arrays["head"]))
                 if head["format"] != FORMAT:
-                    told = f"is of format {head['format']}, another version's: must be {FORMAT}"
-                    raise ResultsError(f"{path}: {told}")
+                    told = f"is of format {head['format']}, another version's{_by(head)}"
+                    raise ResultsError(f"{path}: {told}: must be {FORMAT}")
                 return self._assemble(head, arrays)
-            except (KeyError, TypeError) as error:
+            except (KeyError, TypeError, AttributeError) as error:
                 raise ValueError(f"is not of this program: {error!r}") from error
 
     def _assemble(
@@ -166,6 +168,14 @@ class Saves:
     def _numbers(self, kind: str) -> set[int]:
         found = (re.fullmatch(rf"{kind}-(\d+)\.npz", path.name) for path in self._path.glob("*"))
         return {int(match[1]) for match in found if match}
+
+
+def _by(head: dict[str, Any]) -> str:
+    """By which code and packages a save was made, as far as they are not today's."""
+    made: dict[str, Any] = next(iter(head.get("runs", [])), {})
+    found = {"commit": "+".join(made["commits"])} if "commits" in made else {}
+    differences = changes(found | {"versions": made.get("versions", {})}, origin())
+    return f" ({'; '.join(differences)})" if differences else ""
 
 
 def _reaching_back(lengths: Lengths, needed: dict[str, int]) -> Lengths:

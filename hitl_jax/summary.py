@@ -11,6 +11,7 @@ import numpy as np
 from hitl_jax import stats
 from hitl_jax.episodes import LOST_TESTS
 from hitl_jax.files import write_text_atomic
+from hitl_jax.markdown import table_line
 from hitl_jax.results import ResultsFolder, Run
 from hitl_jax.tables import Table, select
 
@@ -215,12 +216,12 @@ def _report(runs: list[Run], unfinished: Counter[str], rng: np.random.Generator)
         lines += _table_head(["measure", *methods])
         for column, name, decimals in _MEASURES:
             cells = [_cell(_scores(rows, m, column), statistic, decimals, rng) for m in methods]
-            lines.append(_table_line([name, *cells]))
+            lines.append(table_line([name, *cells]))
         lines.append("")
     lines += ["## Until the mean of the last 100 training returns reaches a mark", ""]
     lines += _table_head(["mark", *methods])
     for mark in THRESHOLDS:
-        lines.append(_table_line([str(mark), *(_passage(rows, m, mark) for m in methods)]))
+        lines.append(table_line([str(mark), *(_passage(rows, m, mark) for m in methods)]))
     lines += ["", "## Probability of improvement on the autonomous test return", ""]
     lines += _table_head(["X over Y", "P(X > Y) [95 % interval]", "paired seeds"])
     lines += [_improvement(rows, x, y, rng) for x, y in PAIRS]
@@ -269,15 +270,11 @@ def _improvement(rows: tuple[Row, ...], x: str, y: str, rng: np.random.Generator
     if len(paired):
         p, low, high = stats.probability_of_improvement(paired[:, 0], paired[:, 1], rng)
         cell = f"{p:.2f}" + (f" [{low:.2f}, {high:.2f}]" if len(paired) > 1 else "")
-    return _table_line([f"{x} over {y}", cell, str(len(paired))])
+    return table_line([f"{x} over {y}", cell, str(len(paired))])
 
 
 def _table_head(cells: list[str]) -> list[str]:
-    return [_table_line(cells), _table_line(["---"] * len(cells))]
-
-
-def _table_line(cells: list[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
+    return [table_line(cells), table_line(["---"] * len(cells))]
 
 
 def _value(statistic: Any, values: np.ndarray) -> float | None:

@@ -1,18 +1,25 @@
 """Figures from whatever is there: full results, early ones, one seed, nothing."""
 
+import os
 import subprocess
 import sys
 import xml.etree.ElementTree
 from typing import Any
 
 import matplotlib
+import matplotlib.style
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
-from hitl_jax import figures
+from hitl_jax import figures, files, stats
+from hitl_jax.commands import ablation, alarm_figure, seed_sweep
 from hitl_jax.commands import figures as command
+from hitl_jax.commands.ablations.store import _MEASURES, Store
+from hitl_jax.commands.benchmarks import scaling
 from hitl_jax.commands.cli import run_main
 from hitl_jax.figures import draw_all
+from hitl_jax.files import ResultsError
 from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey
 from hitl_jax.tables import EPISODE_COLUMNS, METHODS, PROGRESS_COLUMNS, TEST_COLUMNS
@@ -99,9 +106,9 @@ def test_full_results_give_every_figure_twice(folder):
         for seed in range(3):
             save(folder, method, seed)
     before = dict(matplotlib.rcParams)
-    paths, notes = draw_all(folder, rng())
+    paths, notes, failures = draw_all(folder, rng())
     assert dict(matplotlib.rcParams) == before
-    assert notes == []
+    assert notes == failures == []
     written = sorted(p.name for p in (folder.path / "figures").iterdir())
     assert written == sorted(f"{name}.{kind}" for name in NAMES for kind in ("png", "svg"))
     assert sorted(p.name for p in paths) == written
@@ -120,7 +127,7 @@ def test_early_results_draw_what_there_is(folder, drawn):
         folder.write_partial(RunKey("hitl-ac", seed), make_training("hitl-ac", seed, count))
     folder.write_partial(RunKey("srl", 0), make_training("srl", 0, 2))
     folder.write_partial(RunKey("srl", 1), make_training("srl", 1, 0))
-    _, notes = draw_all(folder, rng())
+    _, notes, _ = draw_all(folder, rng())
     assert [note.split(":")[0] for note in notes] == ["figure5_test", "figure5_progress"]
     text = text_of(drawn["figure4_training"])
     assert "HITL-AC (2 seeds, 2 unfinished)" in text
@@ -135,7 +142,7 @@ def test_early_results_draw_what_there_is(folder, drawn):
 
 def test_one_finished_run_of_one_method(folder, drawn):
     save(folder, "srl", 0, modes=("autonomous",))
-    _, notes = draw_all(folder, rng())
+    _, notes, _ = draw_all(folder, rng())
     without_human = {"figure6_boundary", "figure6_moves", "figure7_human"}
     assert {note.split(":")[0] for note in notes} == without_human
     assert "SRL (no interval: one seed)" in text_of(drawn["figure5_test"])
@@ -144,7 +151,7 @@ def test_one_finished_run_of_one_method(folder, drawn):
 @pytest.mark.parametrize("modes", [(), ("assisted",)])
 def test_runs_without_autonomous_tests_skip_figure_5(folder, drawn, modes):
     save(folder, "hitl-ac", 0, modes=modes)
-    _, notes = draw_all(folder, rng())
+    _, notes, _ = draw_all(folder, rng())
     assert [note.split(":")[0] for note in notes] == ["figure5_test", "figure5_progress"]
 
 
@@ -193,7 +200,7 @@ def test_another_indicator_is_not_called_radians(tmp_path, drawn):
 
 def test_the_same_data_give_the_same_files(folder):
     folder.write_partial(RunKey("hitl-ac", 0), make_training("hitl-ac", 0, 5))
-    first, second = ([p.read_bytes() for p in draw_all(folder, rng())[0]] for _ in range(2))
+    first, second = ([p.read_bytes() for p in draw_all(folder, rng()).paths] for _ in range(2))
     assert first == second
 
 
@@ -235,6 +242,200 @@ def test_a_diverged_run_counts_in_returns_and_nowhere_else(folder):
     assert [len(t["episode"]) for t in learned.played] == [40, 40, 40, 10]
     assert len(fixed.training) == 1
     assert fixed.played == []
-    paths, notes = draw_all(folder, rng())
-    assert notes == []
+    paths, notes, failures = draw_all(folder, rng())
+    assert notes == failures == []
     assert len(paths) == 2 * len(NAMES)
+
+
+# ------------------------------------------------------------------- the user's own settings
+
+_SETTINGS = {
+    "text.usetex": True,
+    "font.family": "serif",
+    "lines.linewidth": 9.0,
+    "axes.grid": False,
+    "savefig.bbox": "tight",
+    "savefig.transparent": True,
+    "svg.fonttype": "none",
+    "path.simplify": False,
+    "axes.formatter.use_locale": True,
+}
+_ENVIRONMENTS = (
+    {"MPLBACKEND": "module://matplotlib_inline.backend_inline"},
+    {"MPLBACKEND": "module://there.is.none"},
+    {"MPLBACKEND": "nonsense"},
+    {"MPLBACKEND": "TkAgg"},
+    {"MPLBACKEND": "pgf"},
+    {"MPLCONFIGDIR": "/proc/nowhere", "HOME": "/proc/nowhere"},
+)
+
+
+def _pictures(folder):
+    return {path.name: path.read_bytes() for path in sorted((folder.path / "figures").iterdir())}
+
+
+def _draw(folder):
+    """As the command does."""
+    return draw_all(folder, np.random.default_rng(stats.SEED))
+
+
+@pytest.fixture
+def plain(folder):
+    """A folder with the two figures that it has data for, drawn without any settings."""
+    folder.write_partial(RunKey("srl", 0), make_training("srl", 0))
+    drawn = _draw(folder)
+    assert len(drawn.paths) == 4 and drawn.failures == []
+    return folder
+
+
+@pytest.mark.parametrize("theirs", ["text.usetex", "lines.linewidth", "dark_background", "all"])
+def test_settings_of_the_users_process_change_no_figure(plain, theirs):
+    before = _pictures(plain)
+    with matplotlib.rc_context():
+        if theirs in matplotlib.style.available:
+            matplotlib.style.use(theirs)
+        else:
+            matplotlib.rcParams.update(
+                _SETTINGS if theirs == "all" else {theirs: _SETTINGS[theirs]}
+            )
+        kept = dict(matplotlib.rcParams)
+        assert _draw(plain).failures == []
+        assert dict(matplotlib.rcParams) == kept
+    assert _pictures(plain) == before
+
+
+@pytest.mark.parametrize("environment", _ENVIRONMENTS)
+def test_settings_of_the_users_machine_change_no_figure(plain, environment, tmp_path):
+    before = _pictures(plain)
+    for path in plain.path.glob("figures/*"):
+        path.unlink()
+    theirs = "".join(f"{name}: {value}\n" for name, value in _SETTINGS.items())
+    (tmp_path / "matplotlibrc").write_text(f"backend: nonsense\nnonsense.key: 1\n{theirs}")
+    done = subprocess.run(
+        [sys.executable, "-m", "hitl_jax", "figures", str(plain.path)],
+        cwd=tmp_path,
+        env=os.environ | environment | {"PYTHONPATH": os.pathsep.join([os.getcwd(), *sys.path])},
+        capture_output=True,
+        encoding="utf-8",
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert _pictures(plain) == before
+
+
+def test_a_matplotlibrc_that_is_no_text_is_one_line(plain, tmp_path):
+    (tmp_path / "matplotlibrc").write_bytes(b"font.family: caf\xe9\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "hitl_jax", "figures", str(plain.path)],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([os.getcwd(), *sys.path])},
+        capture_output=True,
+        encoding="utf-8",
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    [line] = done.stdout.splitlines()
+    assert line.startswith(", ".join(NAMES) + ": could not be drawn: UnicodeDecodeError: ")
+
+
+@pytest.mark.parametrize(("backend", "after"), [("svg", "svg"), ("nonsense", None)])
+def test_the_users_backend_stays_theirs(backend, after):
+    code = (
+        "import os\nfrom hitl_jax.figure_parts import import_matplotlib, panels, style\n"
+        "with style(): panels(1, 1, (1.0, 1.0))\n"
+        "print(import_matplotlib().get_backend(auto_select=False), os.environ['MPLBACKEND'])"
+    )
+    environment = os.environ | {"MPLBACKEND": backend}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=environment,
+        capture_output=True,
+        encoding="utf-8",
+        check=True,
+    )
+    assert done.stdout == f"{after} {backend}\n"
+
+
+def test_help_needs_no_matplotlib():
+    code = (
+        "import importlib, sys\nfrom hitl_jax.__main__ import _COMMANDS\n"
+        "for module, _ in _COMMANDS.values():\n"
+        "    importlib.import_module(f'hitl_jax.commands.{module}')\n"
+        "assert 'matplotlib' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+# ------------------------------------------------------------- figures that cannot be drawn
+
+
+def _fails(*_, **__):
+    raise RuntimeError("there is\nno font")
+
+
+def test_a_figure_that_cannot_be_drawn_costs_no_other(plain, monkeypatch, capsys):
+    for path in plain.path.glob("figures/*"):
+        path.unlink()
+    monkeypatch.setattr(figures, "_draw_training", _fails)
+    assert run_main("figures", command.main, [str(plain.path)]) == 1
+    told = capsys.readouterr().out.splitlines()
+    assert told[-1] == "figure4_training: could not be drawn: RuntimeError: there is no font"
+    assert {path.stem for path in plain.path.glob("figures/*")} == {"figure4_steps"}
+    [*_, told] = seed_sweep.draw(plain)
+    assert "figure4_training: could not be drawn" in told
+    assert (plain.path / "summary.md").exists()
+
+
+@pytest.mark.parametrize("error", [MemoryError("much"), ValueError("x"), OSError(2, "no font")])
+def test_a_picture_that_cannot_be_made_is_told(plain, error, monkeypatch):
+    real = Figure.savefig
+
+    def savefig(figure, *arguments, **options):
+        if options["format"] == "svg":
+            raise error
+        real(figure, *arguments, **options)
+
+    monkeypatch.setattr(Figure, "savefig", savefig)
+    drawn = draw_all(plain, rng())
+    assert drawn.paths == []
+    assert [line.split(":")[0] for line in drawn.failures] == ["figure4_training", "figure4_steps"]
+    assert type(error).__name__ in drawn.failures[0]
+
+
+def test_without_matplotlib_there_is_one_line(plain, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    [told] = draw_all(plain, rng()).failures
+    assert told.startswith(", ".join(NAMES) + ": could not be drawn: ModuleNotFoundError: ")
+
+
+def test_a_full_disk_is_the_folders_error(plain, monkeypatch):
+    def full(path, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files, "_write_synced", full)
+    with pytest.raises(ResultsError, match=r"figure4_training\.png: No space left on device"):
+        draw_all(plain, rng())
+
+
+def test_the_other_drawings_cost_nothing_either(tmp_path, monkeypatch, capsys):
+    """Of an ablation, of the benchmark, of alarms."""
+    monkeypatch.setattr(ablation.figure, "draw_rows", _fails)
+    options = ablation.AblationOptions(name="methods", seeds=1)
+    store = Store(tmp_path / "runs.csv")
+    setting, parts = next(ablation._parts(ablation.ABLATIONS["methods"]))
+    [run, *_] = ablation._ids(setting, parts, options)
+    store.add(run, dict.fromkeys(_MEASURES, 1.0) | {"commit": "abc"})
+    assert ablation.write_ablation("methods", options, store)
+    assert capsys.readouterr().out == (
+        "methods: could not be drawn: RuntimeError: there is no font\n"
+    )
+    assert (tmp_path / "methods.md").exists()
+    monkeypatch.setattr(scaling, "_draw", _fails)
+    scaling.draw_scaling([], str(tmp_path / "scaling.svg"))
+    assert "scaling.svg: could not be drawn: " in capsys.readouterr().out
+    monkeypatch.setattr(alarm_figure, "_figure", _fails)
+    (tmp_path / alarm_figure.DATA).write_text(",".join(alarm_figure.COLUMNS) + "\n")
+    [told] = alarm_figure.draw(ResultsFolder(tmp_path)).failures
+    assert told == "figure8_alarms: could not be drawn: RuntimeError: there is no font"

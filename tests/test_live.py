@@ -147,6 +147,20 @@ def test_a_port_in_use_and_another_sessions_journal_are_refused(tmp_path, capsys
     assert path.read_text() == "my thesis\n"
 
 
+def test_a_journal_of_other_versions_says_so(tmp_path, capsys):
+    header = live.LiveOptions().header()
+    made = live.origin()
+    path = tmp_path / "journal.jsonl"
+    for name, value in (("jax", "0.4.1"), ("numpy", "1.0"), ("box2d", "2.0")):
+        path.unlink(missing_ok=True)
+        noted = journal.Journal(path)
+        noted.begin(header | {"made": made | {"versions": made["versions"] | {name: value}}})
+        noted.close()
+        assert live._lines_of(path, header) == []
+        now = made["versions"].get(name, "none")
+        assert capsys.readouterr().out == f"{path} was begun with {name} {value}, now {now}\n"
+
+
 def test_a_session_from_before_a_choice_was_one_goes_on_with_its_default(tmp_path):
     header = live.LiveOptions().header()
     old = header | {"agent": dict(header["agent"])}

@@ -11,6 +11,7 @@ from hitl_jax.commands import report
 from hitl_jax.commands.cli import run_main
 from hitl_jax.commands.reports.claims import HOLDS, HOLDS_NOT, UNDECIDED, Results, judge
 from hitl_jax.commands.reports.starts import judge_starts
+from hitl_jax.figure_parts import Drawn
 from hitl_jax.results import Run
 from hitl_jax.run_key import RunKey
 from hitl_jax.summary import skill_over_training
@@ -180,7 +181,7 @@ def test_a_boundary_that_never_settles_is_said_to():
 
 def test_what_is_committed_is_what_the_data_give(tmp_path, monkeypatch):
     # Drawings may differ with matplotlib's version; texts may not.
-    monkeypatch.setattr(report, "draw_all", lambda folder, rng: ([], []))
+    monkeypatch.setattr(report, "draw_all", lambda folder, rng: Drawn([], [], []))
     copy = tmp_path / "results"
     shutil.copytree(_RESULTS, copy)
     assert run_main("report", report.main, ["--results", str(copy)]) == 0

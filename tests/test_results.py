@@ -214,7 +214,7 @@ def test_the_same_config_resumes(folder):
         "agent": {"learner": "td3", "matmul_precision": "float32", "hidden_sizes": [128, 128]},
         "hyper": {"gamma": 0.98},
     }
-    assert "seed_sweep" in (folder.path / "config.json").read_text()
+    assert "hitl-jax sweep" in (folder.path / "config.json").read_text()
 
 
 def test_a_folder_from_before_a_choice_was_one_resumes_with_its_default(tmp_path):

@@ -9,6 +9,7 @@ from test_results import make_episodes
 
 from hitl_jax import saves
 from hitl_jax.files import ResultsError
+from hitl_jax.provenance import short_commit
 from hitl_jax.run_key import RunKey
 from hitl_jax.saved import SavedRun
 from hitl_jax.saves import Saves
@@ -109,6 +110,20 @@ def test_a_save_of_another_version_is_refused_in_one_line(tmp_path, monkeypatch)
     told = f"is of format {saves.FORMAT - 1}, another version's: must be {saves.FORMAT}"
     with pytest.raises(ResultsError, match=re.escape(told)):
         Saves(tmp_path, _CAPACITY).load()
+
+
+def test_a_save_of_another_version_names_what_made_it(tmp_path, monkeypatch):
+    run = _run(4, 4)
+    facts = run.facts | {"commits": ["abc"], "versions": {"jax": "0.4.1", "numpy": np.__version__}}
+    monkeypatch.setattr(saves, "FORMAT", saves.FORMAT - 1)
+    Saves(tmp_path, _CAPACITY).write([run._replace(facts=facts)])
+    monkeypatch.undo()
+    made = saves.origin()
+    now = f"now {short_commit(made['commit'])}; jax 0.4.1, now {made['versions']['jax']}"
+    told = f"another version's (commit abc, {now}): must be {saves.FORMAT}"
+    with pytest.raises(ResultsError, match=re.escape(told)) as caught:
+        Saves(tmp_path, _CAPACITY).load()
+    assert "numpy" not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["state-000002.npz", "frames-000002.npz"])

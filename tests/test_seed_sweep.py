@@ -18,6 +18,7 @@ import pytest
 import small
 from PIL import Image
 
+from hitl_jax import provenance
 from hitl_jax.commands import alarms, replay, seed_sweep, verify
 from hitl_jax.commands.cli import run_main
 from hitl_jax.commands.seed_sweep import _Sweep, main
@@ -43,7 +44,8 @@ def _start(*options):
         stderr=pipe,
         text=True,
         start_new_session=True,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        # What such a terminal cannot show, as a dash, is replaced.
+        env=os.environ | {"PYTHONUNBUFFERED": "1", "PYTHONIOENCODING": "ascii"},
     ) as sweep:
         try:
             yield sweep
@@ -57,7 +59,7 @@ def _run(out, *options):
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
-    out = tmp_path_factory.mktemp("sweep") / "results"
+    out = tmp_path_factory.mktemp("sweep") / "[lr=0.1] $x$ [/data] :smile: τ|"
     with pytest.MonkeyPatch.context() as patch:
         # As if figures were due after every chunk, the last ones of each run included.
         patch.setattr(_Sweep, "_draw_now_and_then", _Sweep._save_partial)
@@ -124,6 +126,27 @@ def test_every_episode_that_is_kept_can_be_had_again(swept, tmp_path, capsys):
     assert "srl seed 0: training 1 of 1, autonomous 1 of 2" in said
 
 
+def test_versions_that_differ_are_named_first_and_once(swept, tmp_path, capsys):
+    other = tmp_path / "other"
+    shutil.copytree(swept, other)
+    for path in (other / "config.json", *other.glob("runs/*/*/run.json")):
+        made = json.loads(path.read_text())
+        made["versions"] |= {"jax": "0.4.1", "numpy": "1.0"}
+        path.write_text(json.dumps(made))
+    now = provenance.versions()
+    told = f"jax 0.4.1, now {now['jax']}; numpy 1.0, now {now['numpy']}"
+    assert _verify(other, "--runs", "1") == 0
+    first, *others = capsys.readouterr().out.splitlines()
+    assert first.startswith(f"{other} was made with {told}: ")
+    assert others[-1].endswith(" agree")
+    assert _run(other) == 0
+    assert [f"{other} was begun with {told}"] == [
+        line for line in capsys.readouterr().out.splitlines() if "0.4.1" in line
+    ]
+    assert _verify(swept, "--runs", "1") == 0
+    assert "was made with" not in capsys.readouterr().out
+
+
 def test_a_film_shows_the_recorded_episode(swept, tmp_path, capsys):
     films = (
         (["--method", "hitl-fix"], "hitl-fix-seed-0-training"),
@@ -173,7 +196,9 @@ def test_an_episode_that_there_is_not(swept, options, message, capsys):
 def test_a_second_start_skips_what_is_done_and_adds_seeds(swept, capsys):
     before = (swept / "runs/srl/seed-0000/run.json").stat().st_mtime_ns
     assert _run(swept, "--methods", "srl", "--first-seed", "1") == 0
-    assert "finished srl seed 1" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"results: {swept}\n" in said
+    assert "finished srl seed 1" in said
     assert RunKey("srl", 1) in ResultsFolder(swept).finished()
     assert (swept / "runs/srl/seed-0000/run.json").stat().st_mtime_ns == before
     start = time.monotonic()

@@ -29,7 +29,7 @@ from hitl_jax.commands.training import Batch, Plant, Tested, make_team
 from hitl_jax.commands.under_way import SAVE_SECONDS
 from hitl_jax.config import Hyper, Method, hyper_for, require_seeds, require_whole
 from hitl_jax.evaluation import MOST_TEST_EPISODES
-from hitl_jax.figure_parts import paper_style, save
+from hitl_jax.figure_parts import attempt, save
 from hitl_jax.files import ResultsError, locked, write_text_atomic
 from hitl_jax.provenance import short_commit
 from hitl_jax.results import Run
@@ -253,6 +253,10 @@ def write_ablation(name: str, options: AblationOptions, store: Store) -> str:
     text = to_markdown(ablation.title, budget, lines, rng)
     write_text_atomic(store.path.parent / f"{name}.md", text)
     draw = figure.draw_curves if ablation.is_number else figure.draw_rows
-    with paper_style():
-        save(draw(ablation.title, lines, rng), store.path.parent / name)
+
+    def make() -> list[pathlib.Path]:
+        return save(draw(ablation.title, lines, rng), store.path.parent / name)
+
+    for failure in attempt({name: make}).failures:
+        print(failure)
     return text

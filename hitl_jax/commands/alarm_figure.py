@@ -1,17 +1,26 @@
 """Figure 8: what alarms would have told at each boundary, from RESULTS/alarms.csv."""
 
+from __future__ import annotations
+
 import pathlib
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from hitl_jax import stats
 from hitl_jax.episodes import ALARM_WINDOW
-from hitl_jax.figure_parts import GREY, PAGE, line_style, method_label, panels, paper_style, save
+from hitl_jax.figure_parts import (
+    GREY,
+    PAGE,
+    Drawn,
+    attempt,
+    line_mark,
+    line_style,
+    method_label,
+    panels,
+    patch_mark,
+    save,
+)
 from hitl_jax.figures import boundary_label, tolerance_in
 from hitl_jax.files import named_errors
 from hitl_jax.results import ResultsFolder
@@ -19,6 +28,11 @@ from hitl_jax.run_key import RunKey
 from hitl_jax.summary import STEPS_PER_SECOND
 from hitl_jax.tables import METHODS, cells_from_csv
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_NAME = "figure8_alarms"
 DATA = "alarms.csv"
 """In a results folder."""
 
@@ -39,17 +53,20 @@ class _Counts(NamedTuple):
     counts: dict[str, np.ndarray]
 
 
-def draw(folder: ResultsFolder) -> list[pathlib.Path]:
-    """Draws the figure into the folder's `figures`; the files written.
+def draw(folder: ResultsFolder) -> Drawn:
+    """Draws the figure into the folder's `figures`.
 
     Raises:
         ResultsError: if the data or the runs are damaged.
     """
     path = folder.path / DATA
     with named_errors(path):
-        methods = _load(path.read_text())
-    with paper_style():
-        return save(_figure(methods, folder), folder.path / "figures" / "figure8_alarms")
+        methods = _load(path.read_text(encoding="utf-8"))
+
+    def make() -> list[pathlib.Path]:
+        return save(_figure(methods, folder), folder.path / "figures" / _NAME)
+
+    return attempt({_NAME: make})
 
 
 def _load(text: str) -> dict[str, _Counts]:
@@ -90,9 +107,7 @@ def _figure(methods: dict[str, _Counts], folder: ResultsFolder) -> Figure:
     for axes in axes_of[2:]:
         axes.set(xlabel=boundary_label(folder))
     marks = [
-        Line2D(
-            [],
-            [],
+        line_mark(
             label=method_label(method, len(of.seeds), "no band"),
             linewidth=1.6,
             **line_style(method),
@@ -135,14 +150,14 @@ def _mark_boundaries(
     tolerance = tolerance_in(folder)
     if tolerance is not None:
         threshold: dict[str, Any] = {"color": GREY, "linewidth": 0.9, "linestyle": "--"}
-        marks.append(Line2D([], [], label="the human's tolerance", **threshold))
+        marks.append(line_mark(label="the human's tolerance", **threshold))
         for axes in axes_of:
             axes.axvline(tolerance, **threshold)
     if "hitl-ac" in methods:
         keys = [RunKey("hitl-ac", seed) for seed in methods["hitl-ac"].seeds]
         ends = [folder.load_run(key).episodes["final_boundary"][-1] for key in keys]
         band: dict[str, Any] = {"color": line_style("hitl-ac")["color"], "alpha": 0.3}
-        marks.append(Patch(label="learned boundaries (HITL-AC)", linewidth=0, **band))
+        marks.append(patch_mark(label="learned boundaries (HITL-AC)", linewidth=0, **band))
         for axes in axes_of:
             axes.axvspan(min(ends), max(ends), linewidth=1.5, **band)  # a line if they are equal
     return marks

@@ -20,7 +20,7 @@ import tyro
 from hitl_jax.agent import Agent
 from hitl_jax.alarms import AlarmCounts, count_alarms, total
 from hitl_jax.commands import alarm_figure
-from hitl_jax.commands.cli import BadInput, checking_input
+from hitl_jax.commands.cli import BadInput, checking_input, print_drawn
 from hitl_jax.commands.compile_cache import keep_programs
 from hitl_jax.commands.plays import playing_backend
 from hitl_jax.commands.trained import able_to_play, agent_of, load_trained
@@ -56,7 +56,7 @@ def main(options: AlarmOptions) -> int:
         options: what to play.
 
     Returns:
-        The exit code.
+        The exit code: 0, or 1 if the figure could not be drawn.
 
     Raises:
         BadInput: where there is nothing to play.
@@ -84,11 +84,10 @@ def main(options: AlarmOptions) -> int:
         writer.writeheader()
         writer.writerows(rows)
         write_text_atomic(options.results / alarm_figure.DATA, text.getvalue())
-        for path in alarm_figure.draw(folder):
-            print(path)
+        drawn = alarm_figure.draw(folder)
     except ResultsError as error:
         raise BadInput(str(error)) from error
-    return 0
+    return print_drawn(drawn)
 
 
 def _count(

@@ -11,17 +11,16 @@ import pathlib
 
 import numpy as np
 import tyro
-from matplotlib.figure import Figure
 
 from hitl_jax.agent import Agent
-from hitl_jax.commands.cli import BadInput, checking_input
+from hitl_jax.commands.cli import BadInput, checking_input, print_drawn
 from hitl_jax.commands.compile_cache import keep_programs
 from hitl_jax.commands.plays import playing_backend
 from hitl_jax.commands.trained import able_to_play, agent_of, load_trained
 from hitl_jax.config import Method, require
 from hitl_jax.envs import make_pool
 from hitl_jax.evaluation import Evaluator, evaluate_policies
-from hitl_jax.figure_parts import COLUMN, GREY, paper_style, save
+from hitl_jax.figure_parts import COLUMN, GREY, Drawn, attempt, panels, save
 from hitl_jax.figures import boundary_label, tolerance_in
 from hitl_jax.files import ResultsError, named_errors, write_text_atomic
 from hitl_jax.results import ResultsFolder
@@ -36,6 +35,7 @@ _SOURCES = ("network", "residual")
 _VELOCITY_UNIT = 25.0  # rad/s; the observation is 2 ω / 50
 _ANGLES = np.linspace(-1.0, 1.0, 41)  # edges of cells [rad]
 _VELOCITIES = np.linspace(-5.0, 5.0, 41)  # [rad/s]
+_NAME = "figure9_map"
 _FEW = 3
 """Steps in a cell below which its mean says nothing."""
 
@@ -60,7 +60,7 @@ def main(options: MapOptions) -> int:
         options: what to play.
 
     Returns:
-        The exit code.
+        The exit code: 0, or 1 if the figure could not be drawn.
 
     Raises:
         BadInput: where there is nothing to map.
@@ -92,15 +92,14 @@ def main(options: MapOptions) -> int:
                 sums += np.histogram2d(*cells, bins=edges, weights=visited[:, 2])[0]
                 print(f"{key}: {len(visited):,} steps", flush=True)
         write_text_atomic(options.results / DATA, _to_csv(steps, sums))
-        for path in draw(folder):
-            print(path)
+        drawn = draw(folder)
     except ResultsError as error:
         raise BadInput(str(error)) from error
-    return 0
+    return print_drawn(drawn)
 
 
-def draw(folder: ResultsFolder) -> list[pathlib.Path]:
-    """Draws the figure into the folder's `figures`; the files written.
+def draw(folder: ResultsFolder) -> Drawn:
+    """Draws the figure into the folder's `figures`.
 
     Raises:
         ResultsError: if the data are damaged.
@@ -113,9 +112,9 @@ def draw(folder: ResultsFolder) -> list[pathlib.Path]:
             for weights in (boundary, None)
         )
     mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-    with paper_style():
-        figure = Figure(figsize=(COLUMN, 3.6), layout="constrained")
-        axes = figure.subplots()
+
+    def make() -> list[pathlib.Path]:
+        figure, [axes] = panels(1, 1, (COLUMN, 3.6))
         mesh = axes.pcolormesh(_ANGLES, _VELOCITIES, mean.T, cmap="viridis", rasterized=True)
         figure.colorbar(mesh, label=boundary_label(folder))
         title = "white: not visited"
@@ -126,7 +125,9 @@ def draw(folder: ResultsFolder) -> list[pathlib.Path]:
                 axes.axvline(side, color=GREY, linewidth=0.9, linestyle="--")
         axes.set(xlabel="hull angle [rad]", ylabel="hull angular velocity [rad/s]")
         axes.set_title(title, fontsize=8.0)
-        return save(figure, folder.path / "figures" / "figure9_map")
+        return save(figure, folder.path / "figures" / _NAME)
+
+    return attempt({_NAME: make})
 
 
 def told(folder: ResultsFolder) -> tuple[np.ndarray, np.ndarray]:
@@ -142,7 +143,7 @@ def told(folder: ResultsFolder) -> tuple[np.ndarray, np.ndarray]:
 
 def _cells(folder: ResultsFolder) -> list[np.ndarray]:
     """The columns of the data, [C] each."""
-    cells = cells_from_csv((folder.path / DATA).read_text(), _COLUMNS)
+    cells = cells_from_csv((folder.path / DATA).read_text(encoding="utf-8"), _COLUMNS)
     return [np.array(column, float) for column in cells.values()]
 
 

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import itertools
+import os
 import sys
 import typing
 from collections.abc import Callable, Iterator, Sequence
@@ -11,6 +12,7 @@ from typing import Any, TypeVar
 import tyro
 
 from hitl_jax.envs import WalkerError
+from hitl_jax.figure_parts import Drawn
 from hitl_jax.files import ResultsError
 
 T = TypeVar("T")
@@ -53,6 +55,13 @@ def run_main(name: str, main: Callable[[Any], int], args: Sequence[str]) -> int:
         return 130
 
 
+def print_drawn(drawn: Drawn) -> int:
+    """Tells what was drawn and what not; the exit code, 1 if a figure could not be drawn."""
+    for line in drawn.lines:
+        print(line)
+    return 1 if drawn.failures else 0
+
+
 def first_line(error: BaseException) -> str:
     """What an error says first; its type, if it says nothing."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
@@ -70,23 +79,45 @@ def checking_input() -> Iterator[None]:
 def parse(options: type[T], args: Sequence[str], prog: str = "hitl-jax") -> T:
     """The options of a command line.
 
-    tyro explains a bad command line in a framed box; this says the same in one line.
+    tyro explains a bad command line in a framed box; this says the same in one line. The box is
+    made once more for that, so wide that nothing in it is cut, and plain whatever the terminal is.
 
     Raises:
         BadInput: what is wrong, in one line.
     """
-    said = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said), checking_input():
+        with contextlib.redirect_stderr(io.StringIO()), checking_input():
             return tyro.cli(options, args=args, prog=prog)
     except SystemExit as stop:
         if stop.code in (0, None):
             raise
-        raise BadInput(_one_line(said.getvalue())) from stop
+    said = io.StringIO()
+    no_terminal = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # Its encoding frames the box.
+    with (
+        _terminal_width(10**6),
+        contextlib.redirect_stdout(no_terminal),
+        contextlib.redirect_stderr(said),
+        contextlib.suppress(SystemExit),
+    ):
+        tyro.cli(options, args=args, prog=prog)
+    raise BadInput(_one_line(said.getvalue()))
+
+
+@contextlib.contextmanager
+def _terminal_width(columns: int) -> Iterator[None]:
+    """What `shutil.get_terminal_size` tells within a `with`."""
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = str(columns)
+    try:
+        yield
+    finally:
+        os.environ.pop("COLUMNS")
+        if before is not None:
+            os.environ["COLUMNS"] = before
 
 
 def _one_line(box: str) -> str:
     """The message of tyro's box: what stands above its first rule, without the frame."""
-    lines = [line.strip("│ ").strip() for line in box.splitlines()]
-    message = list(itertools.takewhile(lambda line: not line.startswith("──"), lines[1:]))
+    lines = [line.removeprefix("│ ").removesuffix("│").strip() for line in box.splitlines()]
+    message = itertools.takewhile(lambda line: set(line) != {"─"}, lines[1:])
     return " ".join(line for line in message if line)

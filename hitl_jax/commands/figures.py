@@ -7,7 +7,7 @@ import numpy as np
 import tyro
 
 from hitl_jax import stats
-from hitl_jax.commands.cli import BadInput
+from hitl_jax.commands.cli import BadInput, print_drawn
 from hitl_jax.figures import draw_all
 from hitl_jax.files import ResultsError
 from hitl_jax.results import ResultsFolder
@@ -31,18 +31,16 @@ def main(options: Options) -> int:
         options: what to draw.
 
     Returns:
-        The exit code.
+        The exit code: 0, or 1 if a figure could not be drawn.
 
     Raises:
         BadInput: where there is nothing to draw from.
     """
     try:
         folder = ResultsFolder(options.results)
-        paths, notes = draw_all(folder, np.random.default_rng(stats.SEED))
+        drawn = draw_all(folder, np.random.default_rng(stats.SEED))
     except ResultsError as error:
         raise BadInput(str(error)) from error
-    if not paths:
+    if not drawn.paths and not drawn.failures:
         raise BadInput(f"{options.results}: no episode has been saved yet")
-    for line in [*notes, *paths]:
-        print(line)
-    return 0
+    return print_drawn(drawn)

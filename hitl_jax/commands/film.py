@@ -9,14 +9,13 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import gymnasium
-import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from hitl_jax.commands.stage import Stage
 from hitl_jax.envs import WALKER, Command
 from hitl_jax.envs.jax_pool import JaxPool
-from hitl_jax.figure_parts import COLOURS, GREY
+from hitl_jax.figure_parts import COLOURS, GREY, import_matplotlib
 from hitl_jax.files import write_bytes_atomic
 from hitl_jax.recording import Recording
 
@@ -26,7 +25,8 @@ _GIF_EVERY = 2  # steps a picture: viewers slow down what is faster than 25 a se
 _HUMAN, _MACHINE, _ALARM = "#CC79A7", COLOURS["hitl-ac"], COLOURS["srl"]
 _PANEL = 78  # height of what is written over the sky, in pixels
 _GAUGE = (300, 580)  # from where to where it reaches, in pixels
-_FONT = pathlib.Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
+_FONT = ("fonts", "ttf", "DejaVuSans.ttf")
+"""Below matplotlib's data."""
 
 
 class Caption(NamedTuple):
@@ -103,7 +103,8 @@ def annotate(
         episode: the steps.
         caption: the rest.
     """
-    font, small = (ImageFont.truetype(_FONT, size) for size in (15, 12))
+    path = pathlib.Path(import_matplotlib().get_data_path(), *_FONT)
+    font, small = (ImageFont.truetype(path, size) for size in (15, 12))
     columns = {
         name: episode.column(name) for name in ("boundary", "alarmed", "human_action", "control")
     }

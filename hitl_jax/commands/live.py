@@ -34,7 +34,7 @@ from hitl_jax.config import (
     require,
     validate_hyper,
 )
-from hitl_jax.differences import completed
+from hitl_jax.differences import changes, completed
 from hitl_jax.evaluation import frozen
 from hitl_jax.files import ResultsError, write_bytes_atomic
 from hitl_jax.live import journal, person
@@ -42,7 +42,7 @@ from hitl_jax.live.conductor import Conductor, Manners
 from hitl_jax.live.session import Session
 from hitl_jax.live.setup import Setup
 from hitl_jax.networks import Actor
-from hitl_jax.provenance import git_commit, processor, versions
+from hitl_jax.provenance import origin
 from hitl_jax.runs import LoopConfig
 
 MODES = ("train", "test", "watch")
@@ -209,8 +209,7 @@ def main(options: LiveOptions) -> int:
         print("compiling ...", flush=True)
         session = Session(setup)
         if noted.is_new:
-            made = {"versions": versions(), "commit": git_commit(), "processor": processor()}
-            noted.begin(header | {"made": made})
+            noted.begin(header | {"made": origin()})
         _go_on(session, lines, path)
         code = _serve(options, session, noted, listening)
         kept = path.with_name(f"{path.name}.npz")
@@ -253,6 +252,7 @@ def _lines_of(path: pathlib.Path, header: dict[str, Any]) -> list[journal.Line]:
     """
     before, lines = journal.read(path)
     before = completed(before)
+    tell_differences(path, before)
     for name, value in _flat(header).items():
         has = _flat(before).get(name)
         if has != value:
@@ -260,6 +260,12 @@ def _lines_of(path: pathlib.Path, header: dict[str, Any]) -> list[journal.Line]:
                 f"{path}: its session has {name} {has}, asked for {value}: name another journal"
             )
     return lines
+
+
+def tell_differences(path: pathlib.Path, header: dict[str, Any]) -> None:
+    """Prints one line if a session was begun with other versions, or on another processor."""
+    if changed := changes(header.get("made", {}), origin()):
+        print(f"{path} was begun with {'; '.join(changed)}", flush=True)
 
 
 def _go_on(session: Session, lines: list[journal.Line], path: pathlib.Path) -> None:

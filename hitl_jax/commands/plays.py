@@ -1,19 +1,21 @@
 """Episodes of a results folder, played again: recorded ones from their actions, tests anew."""
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hitl_jax.agent import Agent
 from hitl_jax.commands.trained import load_trained
+from hitl_jax.differences import changes
 from hitl_jax.envs import WalkerPool
 from hitl_jax.episode_log import playback
 from hitl_jax.episodes import Row
 from hitl_jax.evaluation import Evaluator, Mode, evaluate_policies
 from hitl_jax.files import ResultsError
+from hitl_jax.provenance import origin
 from hitl_jax.recording import Recording
-from hitl_jax.results import ResultsFolder
+from hitl_jax.results import ResultsFolder, Run
 from hitl_jax.run_key import RunKey
 from hitl_jax.runs import episode_seed
 from hitl_jax.steps import recorded_steps
@@ -93,6 +95,30 @@ def playing_backend(folder: ResultsFolder) -> str:
     """On which backend episodes of a folder are played again."""
     backend = folder.load_config().get("backend")
     return "jax" if backend == "jax" else "lean"  # Which equals gymnasium's, and is the quicker.
+
+
+def tell_differences(folder: ResultsFolder, keys: Iterable[RunKey]) -> None:
+    """Prints one line if runs were made with other versions, or on another processor.
+
+    Raises:
+        ResultsError: if a run is damaged.
+    """
+    now = origin()
+    every = [line for key in keys for line in changes(_made(folder.load_run(key)), now)]
+    if every:
+        print(
+            f"{folder.path} was made with {'; '.join(dict.fromkeys(every))}: "
+            "numbers can differ by rounding, and a walker's fate with them",
+            flush=True,
+        )
+
+
+def _made(run: Run) -> dict[str, Any]:
+    """What a run's numbers depended on, as `origin` has it."""
+    made = {name: run.info[name] for name in ("versions", "commit")}
+    if "machine" in run.info:  # The processor, and the number of its cores.
+        made["processor"] = run.info["machine"].rpartition(", ")[0]
+    return made
 
 
 def require_repeatable(folder: ResultsFolder) -> None:

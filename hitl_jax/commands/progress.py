@@ -5,10 +5,10 @@ from collections import defaultdict
 from collections.abc import Sequence
 
 import numpy as np
-from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from hitl_jax.commands.output import plain_console
 from hitl_jax.runs import Run
 
 _REFRESH_SECONDS = 1.0
@@ -38,7 +38,7 @@ class Progress:
         self._episodes = episodes
         self._done = done
         self._finished: list[Run] = []
-        self._console = Console()
+        self._console = plain_console()
         self._live = Live(console=self._console, auto_refresh=False, transient=True)
         self._due = -float("inf")
         self._history: list[tuple[float, int, int]] = []
@@ -56,7 +56,7 @@ class Progress:
 
     def say(self, message: str) -> None:
         """Prints a line above the table."""
-        self._console.print(message, highlight=False, soft_wrap=True)
+        self._console.print(message, soft_wrap=True)
 
     def finish(self, run: Run) -> None:
         """Counts a run as finished."""

@@ -18,7 +18,7 @@ import tyro
 from hitl_jax.commands import judgements
 from hitl_jax.commands.cli import checking_input
 from hitl_jax.commands.compile_cache import keep_programs
-from hitl_jax.commands.live import LiveOptions, setup_of
+from hitl_jax.commands.live import LiveOptions, setup_of, tell_differences
 from hitl_jax.config import AgentConfig, Hyper
 from hitl_jax.files import ResultsError
 from hitl_jax.fit_human import FittedHuman, fit_human
@@ -83,6 +83,7 @@ def main(options: RecordedOptions) -> int:
         if not session_options.with_person:
             raise ValueError(f"{path}: --mode watch: no person judged in this session")
         setup = setup_of(session_options)
+    tell_differences(path, header)
     keep_programs()
     steps = _steps(Session(setup), lines, path)
     if not len(steps.dangerous):

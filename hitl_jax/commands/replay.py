@@ -18,7 +18,13 @@ from hitl_jax.agent import Agent
 from hitl_jax.commands import film
 from hitl_jax.commands.cli import BadInput, checking_input
 from hitl_jax.commands.compile_cache import keep_programs
-from hitl_jax.commands.plays import play_tests, playing_backend, require_repeatable, training_seed
+from hitl_jax.commands.plays import (
+    play_tests,
+    playing_backend,
+    require_repeatable,
+    tell_differences,
+    training_seed,
+)
 from hitl_jax.commands.trained import agent_of, require_same_human
 from hitl_jax.config import Method, require
 from hitl_jax.envs import make_pool
@@ -96,6 +102,7 @@ def main(options: ReplayOptions) -> int:
         raise BadInput(str(error)) from error
     print(out)
     if again != recorded:
+        tell_differences(folder, [key])
         print(f"its return is {again:.3f}, the recorded one {recorded:.3f}: not the same episode")
         return 1
     print(f"its return is the recorded one, {recorded:.3f}, after {len(episode.steps)} steps")

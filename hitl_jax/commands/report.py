@@ -6,6 +6,7 @@ changes nothing.
 
 import dataclasses
 import pathlib
+import shlex
 from collections import Counter
 from typing import NamedTuple
 
@@ -23,8 +24,10 @@ from hitl_jax.commands.tuning import TuningOptions
 from hitl_jax.commands.tuning import table as tuning_table
 from hitl_jax.config import Method
 from hitl_jax.differences import flatten
+from hitl_jax.figure_parts import Drawn
 from hitl_jax.figures import draw_all
 from hitl_jax.files import ResultsError, write_text_atomic
+from hitl_jax.markdown import table
 from hitl_jax.provenance import short_commit
 from hitl_jax.results import ResultsFolder, Run
 from hitl_jax.summary import write_summary
@@ -115,9 +118,9 @@ def _comparison(comparison: _Comparison, root: pathlib.Path) -> str:
     if not folder.path.exists():
         return f"{title}\nNot run yet.\n"
     write_summary(folder, np.random.default_rng(stats.SEED))
-    draw_all(folder, np.random.default_rng(stats.SEED))
+    _tell(draw_all(folder, np.random.default_rng(stats.SEED)))
     if (folder.path / alarm_figure.DATA).exists():
-        alarm_figure.draw(folder)
+        _tell(alarm_figure.draw(folder))
     runs: dict[str, list[Run]] = {}
     for run in folder.load_all():
         runs.setdefault(run.key.method, []).append(run)
@@ -151,10 +154,16 @@ def _comparison(comparison: _Comparison, root: pathlib.Path) -> str:
     )
 
 
+def _tell(drawn: Drawn) -> None:
+    """Says which figures could not be drawn, and why."""
+    for failure in drawn.failures:
+        print(failure)
+
+
 def _tuning(folder: pathlib.Path) -> str:
     title = "## Tuning\n"
     options = TuningOptions()
-    names = " ".join(sorted(path.stem for path in folder.glob("*.json")))
+    names = shlex.join(sorted(path.stem for path in folder.glob("*.json")))
     if not names:
         return f"{title}\nNone kept.\n"
     seeds = f"{options.first_seed} to {options.first_seed + options.seeds - 1}"
@@ -178,17 +187,17 @@ def _settings(root: pathlib.Path) -> str:
     if not configs:
         return f"{title}\nNone.\n"
     names = list(dict.fromkeys(name for config in configs.values() for name in config))
-    lines = [["option", *configs], ["---"] * (1 + len(configs))]
+    lines = [["option", *configs]]
     for name in names:
         cells = (str(config.get(name, "not there yet")) for config in configs.values())
         lines.append([name, *cells])
-    return title + "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    return f"{title}\n{table(lines)}"
 
 
 def _claims(claims: list[Claim]) -> str:
-    rows = [["claim", "the paper", "to hold", "measured", "verdict"], ["---"] * 5]
+    rows = [["claim", "the paper", "to hold", "measured", "verdict"]]
     rows += [[c.name, c.paper, c.aim, c.measured, f"**{c.verdict}**"] for c in claims]
-    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+    return table(rows)
 
 
 def _ablations(folder: pathlib.Path) -> str:
@@ -216,8 +225,8 @@ def _map(path: pathlib.Path) -> str:
     if not (path / boundary_map.DATA).exists():
         return f"{title}\nNot run yet.\n"
     write_summary(folder, np.random.default_rng(stats.SEED))
-    draw_all(folder, np.random.default_rng(stats.SEED))
-    boundary_map.draw(folder)
+    _tell(draw_all(folder, np.random.default_rng(stats.SEED)))
+    _tell(boundary_map.draw(folder))
     steps, boundary = boundary_map.told(folder)
     config, runs = folder.load_config(), len(folder.finished())
     hyper = config["hyper"]

@@ -73,7 +73,7 @@ def main(options: SweepOptions) -> int:
             except ResultsError as error:
                 raise BadInput(f"--out {error}") from error
         if changed:
-            print(f"{options.out} was begun with other code: {', '.join(changed)}", flush=True)
+            print(f"{options.out} was begun with {'; '.join(changed)}", flush=True)
         keep_programs()
         return _Sweep(options, agent, folder, config).run()
 
@@ -237,5 +237,4 @@ def draw(folder: ResultsFolder) -> list[Any]:
         The paths written, and notes on what could not be drawn.
     """
     tables = write_summary(folder, np.random.default_rng(stats.SEED))
-    paths, notes = figures.draw_all(folder, np.random.default_rng(stats.SEED))
-    return [*tables, *paths, *notes]
+    return [*tables, *figures.draw_all(folder, np.random.default_rng(stats.SEED)).lines]

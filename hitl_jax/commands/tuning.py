@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from hitl_jax import files
+from hitl_jax import files, markdown
 from hitl_jax.agent import make_agent
 from hitl_jax.commands.changes import Changes, changed
 from hitl_jax.commands.cli import BadInput, checking_input
@@ -206,7 +206,7 @@ def _returns(runs: list[Run], lost: list[FinishedRun]) -> dict[str, list[float]]
 def _load(path: pathlib.Path) -> dict[str, Any] | None:
     """What this command has written to a file; None where it has not."""
     try:
-        data = json.loads(path.read_text())
+        data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     if not isinstance(data, dict) or not {"asked", "commit", "stages", "tests"} <= data.keys():
@@ -224,7 +224,7 @@ def table(out: pathlib.Path, options: TuningOptions) -> str:
     head = ["configuration", "commit", "ticks/s, all runs"]
     for method in Method:
         head += [f"{method}: training by thirds", f"{method}: test (least to most)"]
-    lines = [head, ["---"] * len(head)]
+    lines = [head]
     for path in sorted(out.glob("*.json")):
         data = _load(path)
         if data is None or data["asked"]["budget"] != _budget(options):
@@ -239,4 +239,4 @@ def table(out: pathlib.Path, options: TuningOptions) -> str:
             row.append(", ".join(f"{np.mean(third):.0f}" if third else "–" for third in thirds))
             row.append(f"{np.mean(tests):.0f} ({min(tests):.0f} to {max(tests):.0f})")
         lines.append(row)
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    return markdown.table(lines)

@@ -3,9 +3,11 @@
 import pathlib
 import time
 from collections.abc import Callable, Collection
+from typing import Any
 
+from hitl_jax.differences import changes, joined
 from hitl_jax.files import ResultsError
-from hitl_jax.provenance import git_commit
+from hitl_jax.provenance import git_commit, versions
 from hitl_jax.rollout import Rollout
 from hitl_jax.run_key import RunKey
 from hitl_jax.saved import SavedRun
@@ -29,8 +31,9 @@ class UnderWay:
         self._seconds = seconds
         self._rollout: Rollout | None = None
         self._left_alone: list[SavedRun] = []
-        self._earlier: dict[RunKey, list[str]] = {}
-        self._commit = git_commit() or "unknown"  # Of the code that is loaded.
+        self._earlier: dict[RunKey, dict[str, Any]] = {}
+        # Of the code that is loaded.
+        self._commit, self._versions = git_commit() or "unknown", versions()
         self._save_at = time.monotonic() + seconds
 
     def take(
@@ -51,7 +54,7 @@ class UnderWay:
             ResultsError: if there are saves, and none can be read.
         """
         saved, notes = self._saves.load()
-        self._earlier = {key: run.facts.get("commits", []) for key, run in saved.items()}
+        self._earlier = {key: run.facts for key, run in saved.items()}
         for note in notes:
             say(f"a save cannot be used: {note}")
         others = saved.keys() - set(asked) - set(finished)
@@ -79,7 +82,10 @@ class UnderWay:
         """
         if self._rollout is not None:
             runs = [
-                run._replace(facts=run.facts | {"commits": self._commits(run.key)})
+                run._replace(
+                    facts=run.facts
+                    | {"commits": self._commits(run.key), "versions": self.versions_of(run.key)}
+                )
                 for run in self._rollout.save()
             ]
             self._saves.write([*runs, *self._left_alone])
@@ -89,8 +95,19 @@ class UnderWay:
         """The code that a run was trained by; more than one commit if it was changed meanwhile."""
         return "+".join(self._commits(key))
 
+    def versions_of(self, key: RunKey) -> dict[str, str]:
+        """What a run was trained with, by package; all versions, if they were changed meanwhile."""
+        return joined(self._earlier.get(key, {}).get("versions", {}), self._versions)
+
+    def changes(self) -> list[str]:
+        """What of versions is not as it was when runs were saved, a few words each."""
+        now = {"versions": self._versions}
+        every = [line for facts in self._earlier.values() for line in changes(facts, now)]
+        return list(dict.fromkeys(every))
+
     def _commits(self, key: RunKey) -> list[str]:
-        return list(dict.fromkeys([*self._earlier.get(key, []), self._commit]))
+        before = self._earlier.get(key, {}).get("commits", [])
+        return list(dict.fromkeys([*before, self._commit]))
 
     def end(self) -> None:
         """Removes the folder when all has finished, but for runs that other commands may need."""

@@ -2,7 +2,8 @@
 
 Plays a sample of the runs: their recorded training episodes from the actions, their test episodes
 from the parameters, each from its reset seed, and compares what the environment gives with what
-the results say.
+the results say. Where they were made with other versions, or on another processor, it says so
+first: rounding can differ then, and a walker's fate with it.
 """
 
 import contextlib
@@ -23,14 +24,14 @@ from hitl_jax.commands.plays import (
     playing_backend,
     require_repeatable,
     returns_of,
+    tell_differences,
     training_seed,
 )
 from hitl_jax.commands.trained import agent_of, require_same_human
 from hitl_jax.config import require
-from hitl_jax.envs import make_pool, num_cores
+from hitl_jax.envs import make_pool
 from hitl_jax.evaluation import Evaluator, Mode
 from hitl_jax.files import ResultsError
-from hitl_jax.provenance import processor
 from hitl_jax.results import ResultsFolder, Run
 from hitl_jax.run_key import RunKey, sort_keys
 from hitl_jax.tables import select
@@ -78,8 +79,10 @@ def main(options: VerifyOptions) -> int:
         if not keys:
             raise BadInput(f"{options.results}: no run has finished yet")
         drawn = random.Random(options.sample).sample(keys, min(options.runs, len(keys)))
+        chosen = sort_keys(set(drawn))
+        tell_differences(folder, chosen)
         keep_programs()
-        told = [_verify(agent, folder, key) for key in sort_keys(set(drawn))]
+        told = [_verify(agent, folder, key) for key in chosen]
     except ResultsError as error:
         raise BadInput(str(error)) from error
     agreed, played = (sum(column) for column in zip(*told, strict=True))
@@ -106,9 +109,6 @@ def _verify(agent: Agent, folder: ResultsFolder, key: RunKey) -> tuple[int, int]
     different = [pair for pairs in results.values() for pair in pairs if pair[0] != pair[1]]
     for recorded_return, now in different[:_SHOWN]:
         print(f"  recorded {recorded_return:.3f}, now {now:.3f}")
-    made, here = run.info.get("machine"), f"{processor()}, {num_cores()} cores"
-    if different and made != here:
-        print(f"  made on {made}; this is {here}: rounding can differ, and a walker's fate with it")
     every = [pair for pairs in results.values() for pair in pairs]
     return _count(every), len(every)
 

@@ -1,16 +1,19 @@
 """An ablation as a figure: what each setting's seeds got, side by side."""
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from hitl_jax import stats
 from hitl_jax.commands.ablations.table import Line
-from hitl_jax.figure_parts import PAGE, line_style, panels
+from hitl_jax.figure_parts import PAGE, line_mark, line_style, literal, panels
 from hitl_jax.tables import METHODS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _PANELS = (
     ("test_return_mean", "autonomous test return"),
@@ -36,7 +39,7 @@ def draw_curves(title: str, lines: list[Line], rng: np.random.Generator) -> Figu
             points = [(x, values) for x, values in points if values.size]
             if points:
                 _draw_curve(axes, points, method, rng)
-        axes.set(xlabel=title, ylabel=name)
+        axes.set(xlabel=literal(title), ylabel=name)
     _legend(figure, lines)
     return figure
 
@@ -75,9 +78,9 @@ def draw_rows(title: str, lines: list[Line], rng: np.random.Generator) -> Figure
         axes.set(xlabel=name)
         axes.grid(visible=False, axis="y")
     axes_of[0].set(ylim=(len(labels) - 0.5, -0.5))
-    axes_of[0].set_yticks(range(len(labels)), labels)
+    axes_of[0].set_yticks(range(len(labels)), [literal(label) for label in labels])
     axes_of[1].tick_params(labelleft=False)
-    figure.suptitle(title, fontsize=9.0)
+    figure.suptitle(literal(title), fontsize=9.0)
     _legend(figure, lines)
     return figure
 
@@ -99,7 +102,7 @@ def _draw_line(
 
 def _legend(figure: Figure, lines: list[Line]) -> None:
     marks = [
-        Line2D([], [], marker="o", label=method.upper(), **line_style(method))
+        line_mark(marker="o", label=method.upper(), **line_style(method))
         for method in METHODS
         if any(line.method == method for line in lines)
     ]

@@ -107,7 +107,7 @@ def _plain(row: Row) -> Row:
 def _read(path: pathlib.Path) -> dict[RunId, Row]:
     if not path.exists():
         return {}
-    with named_errors(path), open(path, newline="") as file:
+    with named_errors(path), open(path, newline="", encoding="utf-8") as file:
         reader = csv.DictReader(file)
         if tuple(reader.fieldnames or ()) != _COLUMNS:
             raise ResultsError(f"{path}: is not a file of this command's runs")

@@ -6,6 +6,7 @@ import numpy as np
 
 from hitl_jax import stats
 from hitl_jax.commands.ablations.store import Row
+from hitl_jax.markdown import table
 
 
 class Line(NamedTuple):
@@ -56,14 +57,13 @@ def to_markdown(title: str, budget: str, lines: list[Line], rng: np.random.Gener
         rng: drawn from for the intervals.
     """
     head = ["setting", "method", "seeds", *(name for _, name, _ in _MEASURES)]
-    cells = [head, ["---"] * len(head)]
+    cells = [head]
     for line in lines:
         lost = sum(run["diverged"] for run in line.runs)
         seeds = f"{len(line.runs)} ({lost:.0f} diverged)" if lost else str(len(line.runs))
         row = [line.label, line.method, seeds]
         cells.append([*row, *(_cell(line, *measure, rng) for measure in _MEASURES)])
-    table = "".join(f"| {' | '.join(row)} |\n" for row in cells)
-    return f"# {title}\n\n{budget}\n\n{_GUIDE}\n\n{table}"
+    return f"# {title}\n\n{budget}\n\n{_GUIDE}\n\n{table(cells)}"
 
 
 def _cell(line: Line, measure: str, name: str, decimals: int, rng: np.random.Generator) -> str:

@@ -59,7 +59,7 @@ def _served() -> Iterator[str]:
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "hitl_jax", "live", "--port", "0", "--no-open-page"]
         command += ["--warmup-steps", "64", "--journal", str(pathlib.Path(folder) / "session")]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        with subprocess.Popen(command, stdout=subprocess.PIPE, encoding="utf-8") as server:
             assert server.stdout is not None
             try:
                 yield next(

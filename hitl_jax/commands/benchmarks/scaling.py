@@ -4,8 +4,10 @@ Each size is measured in a process of its own, started twice: first with an empt
 programs, then with the filled one. Where JAX has an accelerator, everything runs there.
 """
 
+import io
 import json
 import os
+import pathlib
 import subprocess
 import sys
 import tempfile
@@ -13,7 +15,6 @@ import time
 from typing import Any
 
 import jax
-from matplotlib.figure import Figure
 
 from hitl_jax.agent import make_agent
 from hitl_jax.commands.benchmarks.loop import play, specs_of, warm_up
@@ -21,6 +22,8 @@ from hitl_jax.commands.benchmarks.timing import Row, device_mb, memory_mb
 from hitl_jax.commands.compile_cache import keep_programs
 from hitl_jax.config import AgentConfig, Method
 from hitl_jax.envs import make_pool
+from hitl_jax.figure_parts import attempt
+from hitl_jax.files import write_bytes_atomic
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import LoopConfig, num_slots
 
@@ -70,12 +73,19 @@ def measure_scaling(seconds: float) -> list[Row]:
 
 
 def draw_scaling(rows: list[Row], path: str) -> None:
-    """A picture of the table, four panels over the number of runs.
+    """A picture of the table, four panels over the number of runs; the numbers stay without it.
 
     Args:
         rows: of `measure_scaling`.
         path: a .png or .svg file.
     """
+    for failure in attempt({path: lambda: _draw(rows, pathlib.Path(path))}, changes={}).failures:
+        print(failure)
+
+
+def _draw(rows: list[Row], path: pathlib.Path) -> list[pathlib.Path]:
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(7.2, 4.8), layout="constrained")
     panels = figure.subplots(2, 2, sharex=True)
     runs = [row["runs"] for row in rows]
@@ -92,7 +102,10 @@ def draw_scaling(rows: list[Row], path: str) -> None:
         axes.spines[["top", "right"]].set_visible(False)
     for axes in panels[-1]:
         axes.set_xlabel("runs at a time")
-    figure.savefig(path, dpi=200)
+    picture = io.BytesIO()
+    figure.savefig(picture, format=path.suffix[1:], dpi=200)
+    write_bytes_atomic(path, picture.getvalue())
+    return [path]
 
 
 def _started(runs: int, seconds: float, cache: str) -> Row:
@@ -106,7 +119,11 @@ def _started(runs: int, seconds: float, cache: str) -> Row:
     ]
     environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": cache}
     answer = subprocess.run(
-        [*command, str(time.time())], env=environment, stdout=subprocess.PIPE, check=True, text=True
+        [*command, str(time.time())],
+        env=environment,
+        stdout=subprocess.PIPE,
+        check=True,
+        encoding="utf-8",
     )
     row: Row = json.loads(answer.stdout)
     return row

@@ -10,8 +10,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-from rich.console import Console
 from rich.table import Table
+
+from hitl_jax.commands.output import plain_console
 
 Row = dict[str, Any]
 
@@ -43,7 +44,7 @@ def print_rows(title: str, rows: list[Row]) -> None:
         table.add_column(name, justify="left" if words else "right")
     for row in rows:
         table.add_row(*(str(row.get(name, "")) for name in names))
-    Console(width=None if sys.stdout.isatty() else 120).print(table)
+    plain_console(None if sys.stdout.isatty() else 120).print(table)
 
 
 def memory_mb(children: bool = False) -> float:
@@ -60,7 +61,7 @@ def memory_mb(children: bool = False) -> float:
     pages = 0
     for process in ["self", *(_children() if children else [])]:
         with contextlib.suppress(OSError):  # It may have ended meanwhile.
-            pages += int(proc.joinpath(process, "statm").read_text().split()[1])
+            pages += int(proc.joinpath(process, "statm").read_text(encoding="utf-8").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
@@ -103,7 +104,7 @@ def stolen_seconds() -> float:
     stat = pathlib.Path("/proc/stat")
     if not stat.exists():
         return 0.0
-    fields = stat.read_text().split("\n", 1)[0].split()
+    fields = stat.read_text(encoding="utf-8").split("\n", 1)[0].split()
     return int(fields[8]) / os.sysconf("SC_CLK_TCK")
 
 
@@ -114,11 +115,11 @@ class _Thread(NamedTuple):
 
 def _thread(stat: pathlib.Path) -> _Thread:
     """What Linux counts of a thread, or of all threads of a process; see proc(5)."""
-    fields = stat.read_text().rsplit(")", 1)[1].split()
+    fields = stat.read_text(encoding="utf-8").rsplit(")", 1)[1].split()
     ticks = int(fields[11]) + int(fields[12])
     return _Thread(ticks / os.sysconf("SC_CLK_TCK"), int(fields[16]))
 
 
 def _children() -> list[str]:
     tasks = pathlib.Path("/proc/self/task").glob("*/children")
-    return " ".join(task.read_text() for task in tasks).split()
+    return " ".join(task.read_text(encoding="utf-8") for task in tasks).split()

@@ -11,6 +11,7 @@ from hitl_jax.devices import learning_devices
 from hitl_jax.rollout import Rollout
 from hitl_jax.run_key import RunKey
 from hitl_jax.runs import Run
+from hitl_jax.saved import CannotReturn
 
 
 class Local:
@@ -61,7 +62,14 @@ class Local:
         try:
             with contextlib.closing(train_and_test(batch, watch, going_on)) as made:
                 for tested in made:
-                    yield tested._replace(commit=under_way.commit_of(tested.key))
+                    yield tested._replace(
+                        commit=under_way.commit_of(tested.key),
+                        versions=under_way.versions_of(tested.key),
+                    )
+        except CannotReturn as error:
+            if changed := under_way.changes():
+                raise CannotReturn(f"{error}; saved with {'; '.join(changed)}") from error
+            raise
         except Interrupted:
             under_way.save()
             raise
