@@ -5,7 +5,6 @@ programs, then with the filled one. Where JAX has an accelerator, everything run
 """
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -21,6 +20,7 @@ from hitl_jax.commands.benchmarks.timing import Row, device_mb, memory_mb
 from hitl_jax.commands.compile_cache import keep_programs
 from hitl_jax.config import AgentConfig, Method
 from hitl_jax.envs import make_pool
+from hitl_jax.interpreter import child_interpreter
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import LoopConfig, num_slots
 
@@ -96,17 +96,14 @@ def draw_scaling(rows: list[Row], path: str) -> None:
 
 
 def _started(runs: int, seconds: float, cache: str) -> Row:
-    command = [
-        sys.executable,
-        "-P",
-        "-m",
-        "hitl_jax.commands.benchmarks.scaling",
-        str(runs),
-        str(seconds),
-    ]
-    environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": cache}
+    python, environment = child_interpreter()
+    program = [*python, "-m", "hitl_jax.commands.benchmarks.scaling"]
     answer = subprocess.run(
-        [*command, str(time.time())], env=environment, stdout=subprocess.PIPE, check=True, text=True
+        [*program, str(runs), str(seconds), str(time.time())],
+        env={**environment, "JAX_COMPILATION_CACHE_DIR": cache},
+        stdout=subprocess.PIPE,
+        check=True,
+        text=True,
     )
     row: Row = json.loads(answer.stdout)
     return row
