@@ -16,16 +16,15 @@ _CHECKOUT = str(pathlib.Path(hitl_jax.__file__).parents[1])
 
 _SWEEP = """
 import sys
-from hitl_jax.commands import seed_sweep
+from hitl_jax.__main__ import main
 from hitl_jax.commands.seed_sweep import _Sweep
 
-seed_sweep.FIRST_FIGURES_SECONDS = seed_sweep.FIGURES_SECONDS = 0.0
-
-def wait(sweep):
+def draw(sweep):
+    sweep._draw_at = 0.0
+    sweep._draw_now_and_then()
     print("the drawing ended with", sweep._drawing.wait())
 
-_Sweep._stop_drawing = wait
-from hitl_jax.__main__ import main
+_Sweep._stop_drawing = draw
 sys.exit(main(["sweep", *sys.argv[1:]]))
 """
 

@@ -53,12 +53,8 @@ class EnvpoolPool(CheckedPool):
             raise Unplayable(env_id, "must be one of envpool.list_all_envs()")
         from hitl_jax.envs.spaces import action_map, flat_size
 
-        spec = envpool.make_spec(env_id)
-        observation_size = flat_size(env_id, "observation", spec.observation_space)
-        action_size = flat_size(env_id, "action", spec.action_space)
-        self._scaled = action_map(env_id, spec.action_space)
         if max_episode_steps is None:
-            max_episode_steps = spec.config.max_episode_steps
+            max_episode_steps = envpool.make_spec(env_id).config.max_episode_steps
         self._limit = max_episode_steps
         self._envs = envpool.make_gymnasium(
             env_id,
@@ -67,6 +63,13 @@ class EnvpoolPool(CheckedPool):
             seed=seed,
             max_episode_steps=_NO_LIMIT,
         )
+        try:
+            observation_size = flat_size(env_id, "observation", self._envs.observation_space)
+            action_size = flat_size(env_id, "action", self._envs.action_space)
+            self._scaled = action_map(env_id, self._envs.action_space)
+        except Unplayable:
+            self._envs.close()
+            raise
         super().__init__(num_walkers, observation_size, action_size)
         self._observation = np.zeros((num_walkers, observation_size), np.float32)
         # Walkers that EnvPool resets at their next call, the terminated ones.
