@@ -13,6 +13,9 @@ needs_envpool = pytest.mark.skipif(
     importlib.util.find_spec("envpool") is None, reason="needs the extra `fast`"
 )
 
+# Of EnvPool's own making of some spaces.
+narrows = pytest.mark.filterwarnings("ignore:.*precision lowered by casting:UserWarning")
+
 
 def raw_envpool(num_walkers: int, seed: int):
     import envpool
@@ -113,10 +116,39 @@ def test_envpool_time_limit():
 
 
 @needs_envpool
+@narrows
+def test_envpool_actions_are_scaled_onto_the_box():
+    """Pendulum's torques are in [-2, 2]."""
+    import envpool
+
+    rng = np.random.default_rng(0)
+    raw = envpool.make_gymnasium("Pendulum-v1", num_envs=3, num_threads=1, seed=4)
+    raw.reset()
+    with make_pool("envpool", 3, 2, "Pendulum-v1", seed=4) as pool:
+        tick(pool, RESET)
+        for _ in range(20):
+            action = rng.uniform(-1, 1, (3, 1)).astype(np.float32)
+            same(tick(pool, STEP, action), StepBatch(*raw.step(2 * action)[:4]))
+        truth = raw.step(np.full((3, 1), -2, np.float32))
+        same(tick(pool, STEP, -1.5), StepBatch(*truth[:4]))  # Clipped.
+
+
+@needs_envpool
+@narrows
+@pytest.mark.parametrize(
+    ("env_id", "what"),
+    [("CartPole-v1", "action"), ("MountainCar-v0", "action"), ("FrozenLake-v1", "observation")],
+)
+def test_envpool_other_spaces_are_refused(env_id, what):
+    with pytest.raises(ValueError, match=f"^env_id '{env_id}': {what}s must be flat vectors"):
+        make_pool("envpool", 2, env_id=env_id)
+
+
+@needs_envpool
 def test_envpool_bad_arguments():
     with pytest.raises(ValueError, match="env_id 'Nope-v3': must be one of envpool"):
         make_pool("envpool", 1, env_id="Nope-v3")
-    with pytest.raises(ValueError, match="seed -1: must be in"):
+    with pytest.raises(ValueError, match="seed -1: must be a whole number of at least 0"):
         make_pool("envpool", 1, seed=-1)
     with (
         make_pool("envpool", 1) as pool,

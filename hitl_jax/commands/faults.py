@@ -12,13 +12,13 @@ import pathlib
 import random
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 
 import numpy as np
 
 from hitl_jax.commands.cli import BadInput, checking_input
 from hitl_jax.config import require
+from hitl_jax.interpreter import child_interpreter
 from hitl_jax.results import ResultsFolder
 
 _SWEEP = (
@@ -128,9 +128,10 @@ def _ends_before(
 @contextlib.contextmanager
 def _sweep(out: pathlib.Path) -> Iterator[subprocess.Popen[bytes]]:
     """A sweep under way; its words go to a file."""
-    command = [sys.executable, "-m", "hitl_jax", "sweep", *_SWEEP, "--out", str(out)]
+    python, environment = child_interpreter()
+    command = [*python, "-m", "hitl_jax", "sweep", *_SWEEP, "--out", str(out)]
     with open(out.with_suffix(".log"), "ab") as log:
-        sweep = subprocess.Popen(command, stdout=log, stderr=log)
+        sweep = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
         try:
             yield sweep
         finally:

@@ -31,6 +31,7 @@ from hitl_jax.envs import make_pool
 from hitl_jax.episodes import ALARM_WINDOW, LOST_TESTS, num_lost
 from hitl_jax.files import ResultsError, locked
 from hitl_jax.human import recorded
+from hitl_jax.interpreter import child_interpreter
 from hitl_jax.results import ResultsFolder
 from hitl_jax.runs import Run
 from hitl_jax.summary import write_summary
@@ -204,9 +205,13 @@ class _Sweep:
         if time.monotonic() < self._draw_at or (self._drawing and self._drawing.poll() is None):
             return
         self._save_partial()
-        command = [sys.executable, "-m", "hitl_jax", "figures", self._options.out]
+        python, environment = child_interpreter()
         self._drawing = subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+            [*python, "-m", "hitl_jax", "figures", self._options.out],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+            start_new_session=True,
         )
         with contextlib.suppress(ProcessLookupError):  # It may have ended already.
             os.setpriority(os.PRIO_PROCESS, self._drawing.pid, os.nice(0) + FIGURES_NICE)

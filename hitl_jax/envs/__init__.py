@@ -3,10 +3,11 @@
 But for the numbers of gymnasium's walker, which `hitl_jax.walker.parts` reads.
 """
 
-import numbers
+import operator
 import os
+import sys
 
-from hitl_jax.envs.base import Command, StepBatch, WalkerError, WalkerPool
+from hitl_jax.envs.base import Command, StepBatch, Unplayable, WalkerError, WalkerPool
 
 BACKENDS = ("lean", "gymnasium", "envpool", "jax")
 WALKER = "BipedalWalker-v3"
@@ -38,15 +39,21 @@ def make_pool(
 ) -> WalkerPool:
     """Makes a pool of walkers; close it, or use it in a `with`.
 
+    A pool's actions are in [-1, 1], whatever the environment's bounds are: they are scaled onto
+    them. Observations become float32.
+
     Args:
         backend: `gymnasium` (the official environment in worker processes; episodes are seeded),
             `lean` (equal to it bit for bit, in half the time), `envpool` (its Box2D is another
             version and episodes cannot be seeded) or `jax` (`hitl_jax.walker`, which agrees with it
             up to rounding). `lean` and `jax` play `OUR_WALKERS` only.
-        num_walkers: N.
+        num_walkers: N, a whole number.
         num_workers: processes, or threads of `envpool`, or CPU devices of `jax`, at most N are
             used; by default one for each core that this process may use.
-        env_id: an environment with flat observations and flat continuous actions.
+        env_id: an environment with flat observations and flat continuous actions of finite bounds.
+            With `gymnasium` one of your own is `module:Name-v0`: the worker processes import the
+            module, which registers it, and each episode is played in a new environment. One whose
+            episodes do not follow from their seeds and actions (running statistics) is refused.
         seed: seed of all EnvPool's episodes together, in [0, 2³¹). The others do not read it: there
             each RESET brings a seed.
 
@@ -59,11 +66,17 @@ def make_pool(
         raise ValueError(f"backend {backend!r}: must be one of {', '.join(BACKENDS)}")
     if num_workers is None:
         num_workers = num_cores()
-    _require_count("num_walkers", num_walkers)
-    _require_count("num_workers", num_workers)
-    if not 0 <= seed < 2**31:
-        raise ValueError(f"seed {seed!r}: must be in [0, 2**31)")
-    num_workers = min(num_workers, num_walkers)
+    num_walkers = _whole("num_walkers", num_walkers, 1)
+    num_workers = min(_whole("num_workers", num_workers, 1), num_walkers)
+    seed = _whole("seed", seed, 0, 2**31 - 1)
+    if not isinstance(env_id, str):
+        raise ValueError(f"env_id {env_id!r}: must be a string")
+    if _in_worker():
+        raise Unplayable(
+            env_id,
+            "a walker's process makes no pools; the module that registers an environment must not "
+            "make one when it is imported: put that under `if __name__ == '__main__':`",
+        )
     if backend == "envpool":
         from hitl_jax.envs.envpool_pool import EnvpoolPool
 
@@ -89,7 +102,19 @@ def num_cores() -> int:
     return os.cpu_count() or 1
 
 
-def _require_count(name: str, value: int) -> None:
-    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
-    if not whole or value < 1:
-        raise ValueError(f"{name} {value!r}: must be a whole number of at least 1")
+def _whole(name: str, value: int, least: int, most: int | None = None) -> int:
+    """A whole number within bounds; NumPy's are allowed too."""
+    try:
+        number = None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or number < least or (most is not None and number > most):
+        upper = "" if most is None else f" and at most {most}"
+        raise ValueError(f"{name} {value!r}: must be a whole number of at least {least}{upper}")
+    return number
+
+
+def _in_worker() -> bool:
+    """Whether this is a worker's process: it imports modules that register environments."""
+    spec = getattr(sys.modules.get("__main__"), "__spec__", None)
+    return spec is not None and spec.name == "hitl_jax.envs.worker"

@@ -22,6 +22,24 @@ class WalkerError(RuntimeError):
     """A worker raised, died, or did not come up; one line, and the worker's log as a note."""
 
 
+class Unplayable(ValueError):
+    """An environment that a pool cannot play.
+
+    Attributes:
+        why: without the environment's name, in one line.
+    """
+
+    def __init__(self, env_id: str, why: str):
+        """Makes one line of it.
+
+        Args:
+            env_id: of the environment.
+            why: what is not allowed, and what is.
+        """
+        self.why = " ".join(why.split())
+        super().__init__(f"env_id {env_id!r}: {self.why}")
+
+
 class StepBatch(NamedTuple):
     """What one tick brought; the arrays are the caller's to keep.
 
@@ -63,8 +81,9 @@ class WalkerPool(Protocol):
 
         Args:
             command: a `Command` for each walker, uint8 [N].
-            action: read where the command is STEP; beyond [-1, 1] the environment clips it.
-                float32 [N, A].
+            action: read where the command is STEP; in [-1, 1], which a pool of environments with
+                other bounds scales onto them, clipped. With bounds of [-1, 1] what is beyond them
+                is the environment's to clip. float32 [N, A].
             seed: read where the command is RESET, if the pool is `seedable`. uint32 [N].
 
         Raises:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hitl_jax.envs.base import CheckedPool, Command, StepBatch
+from hitl_jax.envs.base import CheckedPool, Command, StepBatch, Unplayable
 
 _NO_LIMIT = 2**31 - 1
 
@@ -32,7 +32,8 @@ class EnvpoolPool(CheckedPool):
         """Makes the walkers.
 
         Args:
-            env_id: EnvPool's name of the environment.
+            env_id: EnvPool's name of the environment; it must have flat observations and flat
+                continuous actions, onto whose bounds [-1, 1] is scaled.
             num_walkers: N.
             num_threads: threads that step them.
             seed: of all their episodes; walker i has `seed + i`.
@@ -40,7 +41,7 @@ class EnvpoolPool(CheckedPool):
 
         Raises:
             ImportError: if EnvPool is missing.
-            ValueError: if EnvPool has no such environment.
+            ValueError: if EnvPool has no such environment, or it cannot be played.
         """
         try:
             import envpool  # type: ignore[import-not-found, unused-ignore]
@@ -49,7 +50,9 @@ class EnvpoolPool(CheckedPool):
                 f"backend 'envpool': {error}; install it with: pip install -e \".[fast]\""
             ) from error
         if env_id not in envpool.list_all_envs():
-            raise ValueError(f"env_id {env_id!r}: must be one of envpool.list_all_envs()")
+            raise Unplayable(env_id, "must be one of envpool.list_all_envs()")
+        from hitl_jax.envs.spaces import action_map, flat_size
+
         if max_episode_steps is None:
             max_episode_steps = envpool.make_spec(env_id).config.max_episode_steps
         self._limit = max_episode_steps
@@ -60,8 +63,13 @@ class EnvpoolPool(CheckedPool):
             seed=seed,
             max_episode_steps=_NO_LIMIT,
         )
-        (observation_size,) = self._envs.observation_space.shape
-        (action_size,) = self._envs.action_space.shape
+        try:
+            observation_size = flat_size(env_id, "observation", self._envs.observation_space)
+            action_size = flat_size(env_id, "action", self._envs.action_space)
+            self._scaled = action_map(env_id, self._envs.action_space)
+        except Unplayable:
+            self._envs.close()
+            raise
         super().__init__(num_walkers, observation_size, action_size)
         self._observation = np.zeros((num_walkers, observation_size), np.float32)
         # Walkers that EnvPool resets at their next call, the terminated ones.
@@ -73,7 +81,7 @@ class EnvpoolPool(CheckedPool):
         called = np.flatnonzero((command == Command.STEP) | again).astype(np.int32)
         self._called = bool(called.size)
         if called.size:
-            self._envs.send(action[called], called)
+            self._envs.send(self._scaled(action[called]), called)
 
     def _finish(self, command: np.ndarray) -> StepBatch:
         reward = np.zeros(self.num_walkers, np.float32)

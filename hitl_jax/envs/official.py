@@ -3,13 +3,24 @@
 from typing import Any
 
 import gymnasium
+import numpy as np
+from gymnasium.wrappers import NormalizeObservation, NormalizeReward
 
-from hitl_jax.envs.base import Command
+from hitl_jax.envs.base import Command, Unplayable
 from hitl_jax.envs.shared import SharedArrays
+from hitl_jax.envs.spaces import action_map, flat_size
+
+_TRIAL_STEPS = 20
+_TOLERANCE = 0.01
+"""What earlier episodes may change in the first observation and reward: 0.0004 in Box2D's walkers;
+running statistics change them by 0.5 to 50."""
 
 
 class OfficialWalkers:
     """The walkers of one process, any environment of flat observations and actions.
+
+    Each episode is played in a new environment. An old one may not be as it was after its `reset`:
+    Box2D orders contacts by what its world held before, and solves them in that order.
 
     Attributes:
         observation_size: O.
@@ -17,45 +28,113 @@ class OfficialWalkers:
     """
 
     def __init__(self, env_id: str, num_walkers: int):
-        """Makes the environments; each waits for its first RESET.
+        """Tries the environment out; each walker waits for its first RESET.
 
         Args:
             env_id: gymnasium's name of the environment.
             num_walkers: of this process.
+
+        Raises:
+            Unplayable: if there is no such environment, its spaces are of another kind, or its
+                episodes do not follow from their seeds and actions.
         """
-        self._envs = [gymnasium.make(env_id, disable_env_checker=True) for _ in range(num_walkers)]
-        self.observation_size = _flat_size("observation", self._envs[0])
-        self.action_size = _flat_size("action", self._envs[0])
+        self._env_id = env_id
+        env = _make(env_id)
+        self.observation_size = flat_size(env_id, "observation", env.observation_space)
+        self.action_size = flat_size(env_id, "action", env.action_space)
+        self._scaled = action_map(env_id, env.action_space)
+        self._try_out(env)
+        self._envs: list[gymnasium.Env | None] = [None] * num_walkers
 
     def tick(self, arrays: SharedArrays) -> None:
         """Does what is asked of each walker; the pool has cleared reward and flags."""
-        action, observation, seed, reward, command, terminated, truncated = arrays
+        _, observation, seed, reward, command, terminated, truncated = arrays
+        action = self._scaled(arrays.action)
         for index, order in enumerate(command.tolist()):
             env = self._envs[index]
-            if order == Command.STEP:
+            if order == Command.RESET:
+                if env is not None:
+                    env.close()
+                env = self._envs[index] = _make(self._env_id)
+                observation[index], _ = env.reset(seed=int(seed[index]))
+            elif order == Command.STEP:
+                assert env is not None
                 answer = env.step(action[index])
                 observation[index], reward[index], terminated[index], truncated[index], _ = answer
-            elif order == Command.RESET:
-                _forget(env)
-                observation[index], _ = env.reset(seed=int(seed[index]))
+
+    def _try_out(self, env: gymnasium.Env) -> None:
+        """Raises Unplayable if an episode is seen to depend on more than its seed and actions."""
+        if name := _running_wrapper(env):
+            raise self._forgetful(name)
+        first = self._trial(env, 0)
+        env.close()
+        env = _make(self._env_id)
+        if not np.array_equal(first, self._trial(env, 0), equal_nan=True):
+            raise Unplayable(
+                self._env_id,
+                "two new environments play the same seed and actions differently (unseeded random "
+                "numbers, a clock, what they share?): an episode must follow from them",
+            )
+        self._trial(env, 1)
+        later = self._trial(env, 0)
+        env.close()
+        # Not what comes then: with contacts in another order a foot may touch down later.
+        starts = (np.append(rows[0], rows[1, self.observation_size]) for rows in (first, later))
+        if not np.allclose(*starts, rtol=_TOLERANCE, atol=_TOLERANCE, equal_nan=True):
+            raise self._forgetful("an episode")
+
+    def _forgetful(self, what: str) -> Unplayable:
+        return Unplayable(
+            self._env_id,
+            f"{what} takes something over from the episodes before (running statistics?): "
+            "each must follow from its seed and actions, so it is played in a new environment, "
+            "where that would be lost",
+        )
+
+    def _trial(self, env: gymnasium.Env, seed: int) -> np.ndarray:
+        """The beginning of an episode, float64 [steps, O + 3]."""
+        rng = np.random.default_rng(0)
+        seen, _ = env.reset(seed=seed)
+        rows = [self._row(seen, 0.0, False, False)]
+        while len(rows) <= _TRIAL_STEPS and not rows[-1][-2:].any():
+            action = rng.uniform(-1, 1, self.action_size).astype(np.float32)
+            rows.append(self._row(*env.step(self._scaled(action))[:4]))
+        return np.array(rows)
+
+    def _row(self, seen: Any, reward: Any, terminated: bool, truncated: bool) -> np.ndarray:
+        if np.shape(seen) != (self.observation_size,):
+            space = (self.observation_size,)
+            raise Unplayable(
+                self._env_id,
+                f"an observation has shape {np.shape(seen)}: its space says {space}",
+            )
+        return np.array([*seen, reward, terminated, truncated], np.float64)
 
 
-def _forget(env: Any) -> None:
-    """Gives a Box2D environment a new world, as `gymnasium.make` would.
+def _make(env_id: str) -> gymnasium.Env:
+    """A new environment.
 
-    `reset` destroys the bodies but keeps the world, which orders new contacts by what it held
-    before; so the solver rounds differently, and the same seed and actions give another episode
-    after other episodes. The bodies are built anew at each reset anyway: this costs nothing.
+    Raises:
+        Unplayable: if gymnasium does not know it, or a module is missing.
     """
-    env = env.unwrapped
-    if hasattr(env, "world") and hasattr(env, "_destroy"):
-        env._destroy()
-        env.world = type(env.world)()
+    try:
+        return gymnasium.make(env_id, disable_env_checker=True)
+    except ModuleNotFoundError as error:
+        raise Unplayable(env_id, str(error)) from error
+    except gymnasium.error.Error as error:
+        module, _, name = env_id.rpartition(":")
+        hint = f"If a module of yours registers it, name that too, 'module:{name}': "
+        hint += "walkers are played in processes of their own, which import it"
+        if module:
+            hint = f"Module {module!r} does not register it"
+        known = name in gymnasium.registry
+        raise Unplayable(env_id, str(error) if known else f"{error} {hint}") from error
 
 
-def _flat_size(name: str, env: Any) -> int:
-    """Length of the vectors in a space of the environment."""
-    space = getattr(env, f"{name}_space")
-    if type(space).__name__ != "Box" or len(space.shape) != 1:
-        raise ValueError(f"env_id {env.spec.id}: {name}s must be flat vectors, not {space}")
-    return space.shape[0]
+def _running_wrapper(env: gymnasium.Env) -> str | None:
+    """Name of gymnasium's wrapper with running statistics, if there is one."""
+    while isinstance(env, gymnasium.Wrapper):
+        if isinstance(env, NormalizeObservation | NormalizeReward) and env.update_running_mean:
+            return type(env).__name__
+        env = env.env
+    return None

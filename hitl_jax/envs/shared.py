@@ -9,6 +9,9 @@ import numpy as np
 SIZES = struct.Struct("<2I")
 """O and A, as a worker tells them when it is ready."""
 
+REASON_BYTES = 2000
+"""Of what a worker says at most, in one piece, when it cannot play an environment."""
+
 
 class SharedArrays(NamedTuple):
     """One tick of N walkers: what the pool asks, and what the workers answer.

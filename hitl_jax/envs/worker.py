@@ -1,9 +1,9 @@
 """A process that steps some of a pool's walkers; `WorkerPool` starts it, no person does.
 
-It first tells the sizes of its spaces. Then each byte on stdin is a tick, and is passed on to the
-next worker: commands and actions are in the shared memory, results go there, and a byte back says
-that they are there. When stdin closes it ends; so no worker outlives its pool, not even if the
-pool's process was killed.
+It first tells the sizes of its spaces, or sizes of 0 and why it cannot play the environment. Then
+each byte on stdin is a tick, and is passed on to the next worker: commands and actions are in the
+shared memory, results go there, and a byte back says that they are there. When stdin closes it
+ends; so no worker outlives its pool, not even if the pool's process was killed.
 """
 
 import contextlib
@@ -13,7 +13,8 @@ import signal
 import sys
 from typing import Protocol
 
-from hitl_jax.envs.shared import SIZES, SharedArrays, map_arrays
+from hitl_jax.envs.base import Unplayable
+from hitl_jax.envs.shared import REASON_BYTES, SIZES, SharedArrays, map_arrays
 
 _NEW_OBJECTS = 50_000
 
@@ -62,7 +63,12 @@ def main(
     # Walkers leave a few cycles at a reset; looking for them among all terrains at every seven
     # hundredth new object takes 3 % of a tick.
     gc.set_threshold(_NEW_OBJECTS)
-    walkers = _make(backend, env_id, len(range(first, num_walkers, num_workers)))
+    try:
+        walkers = _make(backend, env_id, len(range(first, num_walkers, num_workers)))
+    except Unplayable as error:
+        os.write(reply, SIZES.pack(0, 0) + error.why.encode()[:REASON_BYTES])
+        _await_tick(None)  # There will be none; the pool reads why, and closes stdin.
+        return
     sizes = walkers.observation_size, walkers.action_size
     os.write(reply, SIZES.pack(*sizes))
     if not _await_tick(wakes):

@@ -15,9 +15,10 @@ from typing import IO, NoReturn, TypeVar
 
 import numpy as np
 
-from hitl_jax.envs.base import CheckedPool, Command, StepBatch, WalkerError
-from hitl_jax.envs.shared import SIZES, map_arrays, num_bytes
+from hitl_jax.envs.base import CheckedPool, Command, StepBatch, Unplayable, WalkerError
+from hitl_jax.envs.shared import REASON_BYTES, SIZES, map_arrays, num_bytes
 from hitl_jax.episode_log import EpisodeLog, playback
+from hitl_jax.interpreter import child_interpreter
 
 _CLOSE_SECONDS = 5.0
 _LOOK_AFTER_SECONDS = 0.1
@@ -111,6 +112,7 @@ class WorkerPool(CheckedPool):
             start_seconds: how long the workers may take to come up.
 
         Raises:
+            ValueError: if the environment cannot be played.
             WalkerError: if a worker fails or takes longer.
         """
         self._names = (backend, env_id)
@@ -200,7 +202,11 @@ class WorkerPool(CheckedPool):
         self._end_workers()
 
     def _launch_all(self) -> tuple[int, int]:
-        """Starts all workers at once and waits until they are ready; O and A."""
+        """Starts all workers at once and waits until they are ready; O and A.
+
+        Raises:
+            Unplayable: if a worker cannot play the environment.
+        """
         num_walkers, num_workers = self._numbers
         # From the last to the first, since each gets the end of the pipe that wakes the next.
         # Were we to wake them all, the first could take our core before we reach the second.
@@ -211,10 +217,13 @@ class WorkerPool(CheckedPool):
             if following is not None:
                 following.close()
         answers = self._replies(SIZES.size, time.monotonic() + self._start_seconds)
-        return SIZES.unpack(answers)
+        for worker, answer in zip(self._workers, answers, strict=True):
+            if not any(SIZES.unpack(answer)):
+                raise Unplayable(self._names[1], os.read(worker.reply, REASON_BYTES).decode())
+        return SIZES.unpack(answers[0])
 
-    def _replies(self, size: int, deadline: float = float("inf")) -> bytes:
-        """Sleeps until every worker has answered; the last answer.
+    def _replies(self, size: int, deadline: float = float("inf")) -> list[bytes]:
+        """Sleeps until every worker has answered; the answers, in the workers' order.
 
         Args:
             size: bytes in an answer.
@@ -223,7 +232,7 @@ class WorkerPool(CheckedPool):
         Raises:
             WalkerError: if a worker died, or the deadline passed.
         """
-        answer = b""
+        answers: list[bytes] = []
         waiting = list(self._workers)
         while waiting:
             # The last to begin is the last to end, as a rule: so we are woken once a tick.
@@ -241,8 +250,9 @@ class WorkerPool(CheckedPool):
             answer = os.read(worker.reply, size)
             if not answer:
                 self._fail(worker)
+            answers.append(answer)
             waiting.pop()
-        return answer
+        return answers[::-1]
 
     def _fail(self, worker: _Worker) -> NoReturn:
         """Raises for a worker that ended by itself."""
@@ -291,24 +301,23 @@ def _launch(
     """Starts a worker; does not wait for it.
 
     A plain new interpreter: no fork of a process that has JAX's threads, no second import of the
-    user's main module. It finds the modules that this process finds (`sys.path`); its warnings at
-    import do not reach the terminal.
+    user's main module. Its warnings at import do not reach the terminal.
     """
     log = tempfile.TemporaryFile()  # noqa: SIM115, the pool closes it
     reply, answer = os.pipe()
     wakes = [] if following is None else [following.fileno()]
     numbers = (memory, answer, num_walkers, index, num_workers, *wakes)
-    command = [sys.executable, "-P", "-W", "ignore", "-X", "faulthandler"]
-    path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+    python, environment = child_interpreter()
+    command = [*python, "-W", "ignore", "-X", "faulthandler", "-m", "hitl_jax.envs.worker"]
     try:
         process = subprocess.Popen(
-            [*command, "-m", "hitl_jax.envs.worker", backend, env_id, *map(str, numbers)],
+            [*command, backend, env_id, *map(str, numbers)],
             bufsize=0,
             stdin=subprocess.PIPE,
             stdout=log,
             stderr=log,
             pass_fds=(memory, answer, *wakes),
-            env={**os.environ, **_WORKER_ENVIRONMENT, "PYTHONPATH": path},
+            env={**environment, **_WORKER_ENVIRONMENT},
         )
     except BaseException:
         os.close(reply)

@@ -4,11 +4,11 @@ import importlib.util
 import pathlib
 import statistics
 import subprocess
-import sys
 import tempfile
 import time
 
 from hitl_jax.commands.benchmarks.timing import Row
+from hitl_jax.interpreter import child_interpreter
 
 _BAR = 1.05
 _TURNS = ("local", "ray", "ray", "local")
@@ -44,9 +44,10 @@ def measure_launchers(seconds: float) -> list[Row]:
 def _sweep(launcher: str, episodes: int) -> float:
     """How long a sweep takes [s]."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "hitl_jax", "sweep", "--launcher", launcher]
+        python, environment = child_interpreter()
+        command = [*python, "-m", "hitl_jax", "sweep", "--launcher", launcher]
         command += ["--seeds", "2", "--episodes", str(episodes), "--test-episodes", "5"]
         command += ["--out", str(pathlib.Path(folder) / "sweep")]
         start = time.perf_counter()
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env=environment)
         return time.perf_counter() - start

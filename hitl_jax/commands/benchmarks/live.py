@@ -11,13 +11,13 @@ import re
 import shutil
 import statistics
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from typing import Any
 
 from hitl_jax.commands.benchmarks.timing import Row
+from hitl_jax.interpreter import child_interpreter
 
 FRAMES_BAR, LATENCY_BAR = 50, 60
 _MINUTE_OF = 30.0
@@ -57,9 +57,12 @@ def measure_live(seconds: float) -> list[Row]:
 def _served() -> Iterator[str]:
     """The address of the page of a session that learns from its first seconds on."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "hitl_jax", "live", "--port", "0", "--no-open-page"]
+        python, environment = child_interpreter()
+        command = [*python, "-m", "hitl_jax", "live", "--port", "0", "--no-open-page"]
         command += ["--warmup-steps", "64", "--journal", str(pathlib.Path(folder) / "session")]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, encoding="utf-8") as server:
+        with subprocess.Popen(
+            command, stdout=subprocess.PIPE, encoding="utf-8", env=environment
+        ) as server:
             assert server.stdout is not None
             try:
                 yield next(

@@ -6,7 +6,6 @@ programs, then with the filled one. Where JAX has an accelerator, everything run
 
 import io
 import json
-import os
 import pathlib
 import subprocess
 import sys
@@ -24,6 +23,7 @@ from hitl_jax.config import AgentConfig, Method
 from hitl_jax.envs import make_pool
 from hitl_jax.figure_parts import attempt
 from hitl_jax.files import write_bytes_atomic
+from hitl_jax.interpreter import child_interpreter
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import LoopConfig, num_slots
 
@@ -109,18 +109,11 @@ def _draw(rows: list[Row], path: pathlib.Path) -> list[pathlib.Path]:
 
 
 def _started(runs: int, seconds: float, cache: str) -> Row:
-    command = [
-        sys.executable,
-        "-P",
-        "-m",
-        "hitl_jax.commands.benchmarks.scaling",
-        str(runs),
-        str(seconds),
-    ]
-    environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": cache}
+    python, environment = child_interpreter()
+    program = [*python, "-m", "hitl_jax.commands.benchmarks.scaling"]
     answer = subprocess.run(
-        [*command, str(time.time())],
-        env=environment,
+        [*program, str(runs), str(seconds), str(time.time())],
+        env={**environment, "JAX_COMPILATION_CACHE_DIR": cache},
         stdout=subprocess.PIPE,
         check=True,
         encoding="utf-8",

@@ -1,0 +1,87 @@
+"""Child processes find what this process finds, whatever lies in the current folder."""
+
+import os
+import pathlib
+import subprocess
+import sys
+
+import pytest
+import small
+
+import hitl_jax
+from hitl_jax.interpreter import child_interpreter
+
+_NAMES = ("random", "numpy", "types", "jax", "matplotlib", "gymnasium", "hitl_jax", "experiments")
+_CHECKOUT = str(pathlib.Path(hitl_jax.__file__).parents[1])
+
+_SWEEP = """
+import sys
+from hitl_jax.__main__ import main
+from hitl_jax.commands.seed_sweep import _Sweep
+
+def draw(sweep):
+    sweep._draw_at = 0.0
+    sweep._draw_now_and_then()
+    print("the drawing ended with", sweep._drawing.wait())
+
+_Sweep._stop_drawing = draw
+sys.exit(main(["sweep", *sys.argv[1:]]))
+"""
+
+
+@pytest.fixture
+def evil(tmp_path, monkeypatch):
+    """The current folder: a file or a folder for each name, none of which may be imported."""
+    for number, name in enumerate(_NAMES):
+        path = tmp_path / f"{name}.py"
+        if number % 2:
+            path = tmp_path / name / "__init__.py"
+            path.parent.mkdir()
+        path.write_text("raise SystemExit('the wrong one was imported')")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def _child(program):
+    python, environment = child_interpreter()
+    done = subprocess.run(
+        [*python, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
+    return done.stdout.splitlines()
+
+
+@pytest.mark.usefixtures("evil")
+def test_the_current_folder_shadows_nothing():
+    program = f"import {', '.join(_NAMES[:3])}, hitl_jax; print(hitl_jax.__file__)"
+    assert _child(program) == [hitl_jax.__file__]
+
+
+def test_folders_are_those_of_this_process(tmp_path, monkeypatch):
+    """First a folder that was added, then the current one; what is no string is left out."""
+    (tmp_path / "added").mkdir()
+    for folder in (tmp_path, tmp_path / "added"):
+        (folder / "a_module_of_mine.py").write_text(f"print({str(folder)!r})")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", ["", *sys.path, tmp_path])
+    assert _child("import a_module_of_mine") == [str(tmp_path)]
+    monkeypatch.setattr(sys, "path", ["added", *sys.path])
+    assert _child("import a_module_of_mine") == [str(tmp_path / "added")]
+
+
+def test_the_environment_is_a_copy(monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", "before")
+    _, environment = child_interpreter()
+    environment["PYTHONPATH"] += os.pathsep + "more"
+    assert os.environ["PYTHONPATH"] == "before"
+
+
+def test_a_sweep_beside_modules_of_the_same_names(evil):
+    """Its walkers' processes, and the drawing of figures, import the right ones."""
+    words = ["--methods", "srl", "--seeds", "1", "--episodes", "2", "--test-episodes", "1"]
+    words += ["--warmup-steps", "100", "--workers", "2", *small.OPTIONS, "--out", "results"]
+    environment = {**os.environ, "PYTHONPATH": _CHECKOUT}
+    command = [sys.executable, "-P", "-c", _SWEEP, *words]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "the drawing ended with 0" in done.stdout
+    assert (evil / "results" / "figures").is_dir()
