@@ -102,14 +102,18 @@ class Start(NamedTuple):
     push: float
 
 
-def draw_start(seed: int, hardcore: bool = False) -> Start:
-    """Draws what gymnasium's `reset(seed=seed)` draws, to the last bit.
+def random_numbers(seed: int) -> np.random.Generator:
+    """The generator of an episode's seed, at least 0, as gymnasium seeds it."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
+
+
+def draw_start(rng: np.random.Generator, hardcore: bool = False) -> Start:
+    """Draws what gymnasium's `reset` draws, to the last bit.
 
     Args:
-        seed: of the episode, at least 0.
+        rng: of the episode's seed; all that the episode needs is drawn from it.
         hardcore: whether the terrain has stumps, stairs and pits.
     """
-    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
     heights, boxes = draw_rough(rng) if hardcore else (draw_grass(rng), [])
     rng.random(_CLOUD_DRAWS)
     return Start(heights, boxes, rng.uniform(-INITIAL_RANDOM, INITIAL_RANDOM))

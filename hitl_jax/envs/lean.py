@@ -165,7 +165,7 @@ class _Walker:
 
     def start(self, seed: int) -> None:
         """Begins the episode of a seed in a new world, and makes the step that ends a reset."""
-        drawn = bipedal.draw_start(seed, self._hardcore)
+        drawn = bipedal.draw_start(bipedal.random_numbers(seed), self._hardcore)
         self._world = b2World()
         self._build_ground(drawn.heights, drawn.boxes)
         self._build_body()
