@@ -207,7 +207,7 @@ def num_test_walkers(backend: str, episodes: int, num_runs: int, num_devices: in
     """
     if backend != "jax":
         return episodes
-    from hitl_jax.device_evaluation import num_walkers  # Imports Box2D.
+    from hitl_jax.device_evaluation import num_walkers  # Which imports this module.
 
     return num_walkers(_TESTS * num_runs * episodes, num_devices)
 
@@ -220,7 +220,7 @@ def make_examiner(agent: Agent, pool: WalkerPool, episodes: int) -> Examiner:
         pool: of `num_test_walkers`.
         episodes: of one test.
     """
-    if hasattr(pool, "blocks"):  # of a JaxPool, whose module imports Box2D for its walker's numbers
+    if hasattr(pool, "blocks"):  # Of a JaxPool.
         from hitl_jax.device_evaluation import DeviceEvaluator
 
         return DeviceEvaluator(agent, pool, episodes)  # type: ignore[arg-type]

@@ -120,7 +120,7 @@ def make_stage(agent: Agent, pool: WalkerPool, programs: Programs) -> Stage:
         pool: the walkers.
         programs: of the batch.
     """
-    if hasattr(pool, "blocks"):  # of a JaxPool, whose module imports Box2D for its walker's numbers
+    if hasattr(pool, "blocks"):  # Of a JaxPool.
         from hitl_jax.device_stage import DeviceStage
 
         return DeviceStage(agent, pool, programs)  # type: ignore[arg-type]

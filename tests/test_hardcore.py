@@ -2,11 +2,12 @@
 
 import dataclasses
 
-import gymnasium
 import jax
 import numpy as np
+import official as theirs
 import pytest
 
+from hitl_jax import bipedal
 from hitl_jax.commands.agreements.states import copied
 from hitl_jax.devices import walker_devices
 from hitl_jax.envs import HARDCORE_WALKER, Command, jax_pool, make_pool
@@ -16,13 +17,9 @@ LANES = 16
 DRAWS = 12
 
 
-def _made():
-    return gymnasium.make(HARDCORE_WALKER, disable_env_checker=True).unwrapped
-
-
 @pytest.fixture(scope="module")
 def official():
-    return _made()
+    return theirs.make(hardcore=True)
 
 
 class _Told:
@@ -30,7 +27,7 @@ class _Told:
 
     def __init__(self, env, pushes, stretches, kinds, stumps, others, rises):
         self._corner = lambda: len(env.terrain_x) - 1
-        self._pushes, self._rises = pushes * parts.official.SCALE, rises
+        self._pushes, self._rises = pushes * bipedal.SCALE, rises
         self._integers = {(5, 10): stretches, (1, 4): kinds, (1, 3): stumps, (3, 5): others}
 
     def uniform(self, low, high):
@@ -47,7 +44,7 @@ def test_terrain_from_equal_numbers_is_gymnasiums():
     rng = np.random.default_rng(0)
     shape = (DRAWS, parts.TERRAIN_LENGTH)
     drawn = (
-        rng.uniform(-1, 1, shape).astype(np.float32) / np.float32(parts.official.SCALE),
+        rng.uniform(-1, 1, shape).astype(np.float32) / np.float32(bipedal.SCALE),
         *(
             rng.integers(*ends, shape).astype(np.int32)
             for ends in ((5, 10), (1, 4), (1, 3), (3, 5))
@@ -57,17 +54,17 @@ def test_terrain_from_equal_numbers_is_gymnasiums():
     plan = jax.jit(jax.vmap(terrain.planned))(*drawn)
     kinds = set()
     for index in range(DRAWS):
-        official = _made()
+        official = theirs.make(hardcore=True)
         official.reset(seed=0)
         official._np_random = _Told(official, *(values[index] for values in drawn))
         official._generate_terrain(hardcore=True)
-        theirs = copying.terrain_of(official)
+        expected = copying.terrain_of(official)
         ours = jax.tree.map(lambda leaf, at=index: leaf[at], plan)
-        np.testing.assert_allclose(ours.heights, theirs.heights, atol=2e-5)
+        np.testing.assert_allclose(ours.heights, expected.heights, atol=2e-5)
         # Beyond the end of the ground gymnasium's boxes go on, and nobody gets there.
         inside = slice(0, parts.NUM_EDGES)
         for mine, other in zip(
-            jax.tree.leaves(ours.boxes), jax.tree.leaves(theirs.boxes), strict=True
+            jax.tree.leaves(ours.boxes), jax.tree.leaves(expected.boxes), strict=True
         ):
             np.testing.assert_allclose(mine[inside], other[inside], atol=2e-5)
         boxes = np.stack([ours.boxes.low.x, ours.boxes.high.x, ours.boxes.low.y, ours.boxes.high.y])

@@ -1,19 +1,13 @@
 import functools
-import warnings
 
 import chex
-import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
+import official as theirs
 import pytest
 
-from hitl_jax import human_actions
-
-with warnings.catch_warnings():
-    # SWIG's types warn as Box2D is first imported; as an error that ends the process.
-    warnings.simplefilter("ignore")
-    from gymnasium.envs.box2d.bipedal_walker import BipedalWalkerHeuristics
+from hitl_jax import bipedal, human_actions
 
 KEY = jax.random.key(0)
 WALKER = human_actions.scripted_walker()
@@ -34,26 +28,28 @@ def _episode(seed, act):
 
     The walker is made anew: after other episodes, a world of Box2D answers a seed differently.
     """
-    env = gymnasium.make("BipedalWalker-v3")
+    env = theirs.make()
     observation, _ = env.reset(seed=seed)
     observations, actions, total, ended = [], [], 0.0, False
     while not ended:
         observations.append(observation)
         actions.append(np.array(act(observation), np.float64))
-        observation, reward, terminated, truncated, _ = env.step(actions[-1])
+        observation, reward, terminated, _, _ = env.step(actions[-1])
         total += float(reward)
-        ended = terminated or truncated
+        ended = terminated or len(actions) == bipedal.MOST_STEPS
     env.close()
     return np.array(observations), np.array(actions), total
 
 
+@theirs.needs_official
 @pytest.mark.parametrize("seed", range(4))
 def test_the_actions_of_gymnasiums_walker(seed):
-    observations, expected, _ = _episode(seed, BipedalWalkerHeuristics().step_heuristic)
+    observations, expected, _ = _episode(seed, theirs.gait())
     _, actions = jax.jit(functools.partial(_play, WALKER))(observations)
     np.testing.assert_allclose(actions, expected, rtol=0, atol=1e-5)
 
 
+@theirs.needs_official
 @pytest.mark.parametrize("seed", range(3))
 def test_the_returns_of_gymnasiums_walker(seed):
     """Equal to the last bit, once the compiler may not fuse a product and a sum into one rounding.
@@ -69,11 +65,12 @@ def test_the_returns_of_gymnasiums_walker(seed):
         return action
 
     _, actions, total = _episode(seed, remembering)
-    _, expected, expected_total = _episode(seed, BipedalWalkerHeuristics().step_heuristic)
+    _, expected, expected_total = _episode(seed, theirs.gait())
     np.testing.assert_array_equal(actions, expected)
     assert total == expected_total
 
 
+@theirs.needs_official
 @pytest.mark.parametrize("seed", range(3))
 def test_every_change_of_phase(seed):
     """Observations drawn at random, for phases that a step runs through and walks never show."""
@@ -81,7 +78,7 @@ def test_every_change_of_phase(seed):
     observations = rng.uniform(-1.2, 1.2, (400, 24)).astype(np.float32)
     observations[:, 2] *= 0.5
     observations[:, 8], observations[:, 13] = rng.integers(0, 2, (2, 400))
-    reference = BipedalWalkerHeuristics()
+    reference = theirs.bipedal_walker.BipedalWalkerHeuristics()
     step = jax.jit(WALKER.act)
     state = WALKER.init()
     changes = set()

@@ -4,17 +4,15 @@ import functools
 import math
 import types
 
-import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
 import ptx_machine
 import pytest
 
-from hitl_jax.envs import WALKER
+from hitl_jax.envs import Command, make_pool
 from hitl_jax.walker import (
     by_parts,
-    copying,
     grips,
     ground,
     hinges,
@@ -37,18 +35,16 @@ _WALKERS = 3
 
 @pytest.fixture(scope="module")
 def now():
-    """Gymnasium's walkers when they have stumbled for a while, and what a step is made of."""
-    env = gymnasium.make(WALKER, disable_env_checker=True).unwrapped
-    worlds, heights = [], []
-    for seed in range(_WALKERS):
-        env.reset(seed=seed)
-        rng = np.random.default_rng(seed)
-        for _ in range(45):
-            env.step(rng.uniform(-1, 1, 4).astype(np.float32))
-        worlds.append(copying.world_of(env))
-        heights.append(copying.terrain_of(env).heights)
-    before = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *worlds)
-    return before, *jax.jit(_prepared)(before, np.stack(heights, axis=-1))
+    """Walkers when they have stumbled for a while, and what a step is made of."""
+    rng, seeds = np.random.default_rng(0), np.arange(_WALKERS, dtype=np.uint32)
+    with make_pool("jax", _WALKERS, 1) as pool:
+        for command in (Command.RESET, *[Command.STEP] * 45):
+            actions = rng.uniform(-1, 1, (_WALKERS, 4)).astype(np.float32)
+            pool.step(np.full(_WALKERS, command), actions, seeds)
+        walkers = [jax.device_get(pool.walker(index)) for index in range(_WALKERS)]
+    together = jax.tree.map(lambda *leaves: np.stack(leaves, axis=-1), *walkers)
+    before, heights = together.world, together.terrain.heights
+    return before, *jax.jit(_prepared)(before, heights)
 
 
 def _prepared(before, heights):

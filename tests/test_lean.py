@@ -1,17 +1,12 @@
 """The lean walker against the official one: 200 whole episodes, equal to the last bit."""
 
 import pathlib
-import warnings
 
 import numpy as np
+import official as theirs
 import pytest
 
 from hitl_jax.envs import OUR_WALKERS, Command, StepBatch, make_pool
-
-with warnings.catch_warnings():
-    # SWIG's types warn as Box2D is first imported; as an error that ends the process.
-    warnings.simplefilter("ignore")
-    from gymnasium.envs.box2d.bipedal_walker import BipedalWalkerHeuristics
 
 WALKER, HARDCORE = OUR_WALKERS
 RESULTS = pathlib.Path(__file__).parents[1] / "results"
@@ -37,11 +32,11 @@ class ScriptedPlay:
         self.gaits = [None] * walkers
 
     def begin(self, walker):
-        self.gaits[walker] = BipedalWalkerHeuristics()
+        self.gaits[walker] = theirs.gait()
 
     def act(self, observation):
         rows = zip(self.gaits, observation, strict=True)
-        return np.array([gait.step_heuristic(row) for gait, row in rows])
+        return np.array([gait(row) for gait, row in rows])
 
 
 class TrainedPlay:
@@ -64,6 +59,7 @@ class TrainedPlay:
         return inputs @ self.params[f"{prefix}/kernel"] + self.params[f"{prefix}/bias"]
 
 
+@theirs.needs_official
 @pytest.mark.parametrize(
     ("env_id", "play", "walkers", "episodes"),
     [

@@ -2,18 +2,17 @@
 
 import dataclasses
 
-import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
+import official as theirs
 import pytest
-from gymnasium.utils import seeding
 
-from hitl_jax import walker
+from hitl_jax import bipedal, walker
 from hitl_jax.commands.agreements.returns import distance
 from hitl_jax.commands.agreements.states import copied
 from hitl_jax.devices import walker_devices
-from hitl_jax.envs import WALKER, Command, jax_pool, lean, make_pool
+from hitl_jax.envs import Command, jax_pool, make_pool
 from hitl_jax.keys import make_key
 from hitl_jax.walker import parts, terrain
 from hitl_jax.walker.flat import of_one
@@ -28,7 +27,7 @@ LANES = 16
 
 @pytest.fixture(scope="module")
 def official():
-    return gymnasium.make(WALKER, disable_env_checker=True).unwrapped
+    return theirs.make()
 
 
 def step(walkers, actions, command=Command.STEP):
@@ -46,11 +45,11 @@ def stacked(walkers):
 def played(env, seed, steps, noise=0.0):
     """(walker before it, action, observation, terminated) of each step of a scripted episode."""
     observation, _ = env.reset(seed=seed)
-    gait, rng = parts.official.BipedalWalkerHeuristics(), np.random.default_rng(seed)
+    gait, rng = theirs.gait(), np.random.default_rng(seed)
     rows = []
     for _ in range(steps):
         before = copied(env)
-        action = np.float32(gait.step_heuristic(observation) + rng.normal(0, noise, 4))
+        action = np.float32(gait(observation) + rng.normal(0, noise, 4))
         observation, _, terminated, _, _ = env.step(action)
         rows.append((before, action, observation, terminated))
         if terminated:
@@ -122,10 +121,8 @@ def test_a_reset_on_gymnasiums_terrain_is_gymnasiums(official):
     walkers, expected = [], []
     for seed in range(3):
         observation, _ = official.reset(seed=seed)
-        rng, _ = seeding.np_random(seed)
-        heights = np.float32(lean._draw_grass(rng))
-        rng.random(lean._CLOUD_DRAWS)
-        walkers.append(walker.made_on(Terrain(heights), np.float32(rng.uniform(-5, 5))))
+        drawn = bipedal.draw_start(bipedal.random_numbers(seed))
+        walkers.append(walker.made_on(Terrain(np.float32(drawn.heights)), np.float32(drawn.push)))
         expected.append(observation)
     first, after = step(stacked(walkers), np.zeros((LANES, 4)))
     np.testing.assert_allclose(after.observation[:3], expected, atol=1e-5)
@@ -144,9 +141,9 @@ def test_falls_end_it_when_gymnasiums_end(official):
         assert float(after.reward[len(rows) - 1]) == -100
 
 
-def test_ends(official):
-    official.reset(seed=0)
-    one = copied(official)
+def test_ends():
+    one = jax.tree.map(np.asarray, walker.made(make_key(0)))
+    one = dataclasses.replace(one, steps=np.int32(0))
     place = dataclasses.replace(one.world.place, x=one.world.place.x + np.float32(parts.GOAL - 4))
     there = dataclasses.replace(one, world=dataclasses.replace(one.world, place=place))
     late = dataclasses.replace(one, steps=np.int32(1599))
@@ -156,9 +153,18 @@ def test_ends(official):
     assert np.asarray(after.truncated)[:4].tolist() == [False, True, False, False]
 
 
-def test_neither_place_nor_neighbours_matter(official):
-    rows = played(official, 0, 60, 0.3)[::4] + played(official, 1, 60, 0.3)[1::4]
-    order = np.random.default_rng(0).permutation(len(rows))
+def test_neither_place_nor_neighbours_matter():
+    rng, rows = np.random.default_rng(0), []
+    walkers = stacked([walker.made(make_key(seed)) for seed in range(LANES)])
+    for count in range(60):
+        actions = rng.uniform(-1, 1, (LANES, 4)).astype(np.float32)
+        if count % 2:  # Now one, now another, in the air and on the ground.
+            lane = count // 2 % LANES
+            rows.append(
+                (jax.tree.map(lambda leaf, at=lane: np.array(leaf[at]), walkers), actions[lane])
+            )
+        walkers, _ = step(walkers, actions)
+    order = rng.permutation(len(rows))
     found = {}
     for begin in (0, 5, 9):
         some = order[begin : begin + LANES]
@@ -171,12 +177,12 @@ def test_neither_place_nor_neighbours_matter(official):
 def test_terrain_is_drawn_as_gymnasium_draws_it():
     keys = jax.random.split(jax.random.key(0), 400)
     ours = np.asarray(jax.jit(jax.vmap(terrain.grass))(keys))
-    theirs = np.array([lean._draw_grass(np.random.default_rng(seed)) for seed in range(400)])
+    drawn = np.array([bipedal.draw_grass(bipedal.random_numbers(seed)) for seed in range(400)])
     assert (ours[:, :20] == ours[0, 0]).all()
     for values in (lambda x: x[:, 60], lambda x: x[:, -1], lambda x: np.diff(x)[:, 100]):
-        assert distance(values(ours), values(theirs)) < 0.1
+        assert distance(values(ours), values(drawn)) < 0.1
     # The first corner of a stretch repeats the height before: about one in six and a half.
-    flat = [(np.diff(heights[:, 30:]) == 0).mean() for heights in (ours, theirs)]
+    flat = [(np.diff(heights[:, 30:]) == 0).mean() for heights in (ours, drawn)]
     assert flat[0] == pytest.approx(flat[1], abs=0.005)
 
 

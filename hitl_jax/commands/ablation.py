@@ -28,6 +28,7 @@ from hitl_jax.commands.signals import Interrupted
 from hitl_jax.commands.training import Batch, Plant, Tested, make_team
 from hitl_jax.commands.under_way import SAVE_SECONDS
 from hitl_jax.config import Hyper, Method, hyper_for, require_seeds, require_whole
+from hitl_jax.envs import require_backend
 from hitl_jax.evaluation import MOST_TEST_EPISODES
 from hitl_jax.figure_parts import attempt, save
 from hitl_jax.files import ResultsError, locked, write_text_atomic
@@ -145,6 +146,9 @@ def _run(names: list[str], options: AblationOptions, store: Store) -> None:
             ids = _ids(setting, parts, options)
             group.missing.update({run: parts for run in ids if run not in store})
     missing = {run.key: run for group in groups.values() for run in group.missing}
+    if missing:
+        with checking_input():
+            require_backend(_BACKEND)
     methods = [m for m in Method if any(run.method == m for run in missing.values())]
     largest_first = sorted(groups.items(), key=lambda one: len(one[1].missing), reverse=True)
     batches = [_batch(f"under_way-{name}", group, options) for name, group in largest_first]

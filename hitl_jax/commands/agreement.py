@@ -7,9 +7,9 @@ from collections.abc import Callable
 from hitl_jax.commands.agreements.returns import measure_scripted, measure_trained
 from hitl_jax.commands.agreements.states import measure_rollout, measure_step
 from hitl_jax.commands.benchmarks.timing import Row, print_rows
-from hitl_jax.commands.cli import BadInput
+from hitl_jax.commands.cli import BadInput, checking_input
 from hitl_jax.config import MOST_SEED, require_whole
-from hitl_jax.envs import HARDCORE_WALKER, WALKER
+from hitl_jax.envs import HARDCORE_WALKER, WALKER, require_backend
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,12 +55,12 @@ def main(options: AgreementOptions) -> int:
     parts = [part for given in options.only for part in given.split(",")] or there_are
     if not set(parts) <= set(there_are):
         raise BadInput(f"--only {' '.join(options.only)}: must be some of {', '.join(there_are)}")
-    try:
+    with checking_input():
         for name in ("episodes", "test_episodes", "runs"):
             require_whole(name, getattr(options, name), at_least=1)
         require_whole("seed", options.seed, at_most=MOST_SEED)
-    except ValueError as error:
-        raise BadInput(str(error)) from error
+        for part in parts:
+            require_backend("gymnasium" if part in ("step", "rollout") else "lean")
     for folder in options.trained:
         if "trained" in parts and not (pathlib.Path(folder) / "config.json").exists():
             raise BadInput(f"--trained {folder}: holds no results")

@@ -21,10 +21,14 @@ from hitl_jax.commands.benchmarks.saves import measure_saves
 from hitl_jax.commands.benchmarks.scaling import draw_scaling, measure_scaling
 from hitl_jax.commands.benchmarks.timing import Row, print_rows
 from hitl_jax.commands.benchmarks.walkers import measure_walkers
-from hitl_jax.commands.cli import BadInput
-from hitl_jax.envs import num_cores
+from hitl_jax.commands.cli import BadInput, checking_input
+from hitl_jax.envs import box2d, num_cores
 from hitl_jax.files import write_text_atomic
 from hitl_jax.provenance import versions
+
+_ON_GYMNASIUM = ("pool", "peers")
+_ON_BOX2D = ("loop", "scaling", "saves", "live")
+"""Parts that need it: `learner` has no walkers, `walkers` tells which it did not find."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,6 +67,12 @@ def main(options: BenchmarkOptions) -> int:
             raise BadInput(f"--plot {options.plot}: must end with .png or .svg")
         if "scaling" not in parts:
             raise BadInput(f"--plot {options.plot}: needs the part scaling in --only")
+    with checking_input():
+        for part in parts:
+            if part in _ON_GYMNASIUM:
+                box2d.require_gymnasium(f"--only {part}")
+            if part in _ON_BOX2D:
+                box2d.require(f"--only {part}")
     # Of a GPU, take what is needed: the processes of the part scaling need the rest.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     report: dict[str, Any] = {"versions": versions(), "cores": num_cores()}

@@ -18,6 +18,7 @@ import numpy as np
 
 from hitl_jax.commands.cli import BadInput, checking_input
 from hitl_jax.config import require
+from hitl_jax.envs import require_backend
 from hitl_jax.interpreter import child_interpreter
 from hitl_jax.results import ResultsFolder
 
@@ -62,6 +63,7 @@ def main(options: FaultOptions) -> int:
     with checking_input():
         require("kills", options.kills, at_least=1)
         require("longest", options.longest, at_least=0.1)
+        require_backend("lean")  # Its walkers have processes that can be killed.
     out = pathlib.Path(options.out)
     if out.exists():
         raise BadInput(f"--out {out}: is there already; name a new folder")

@@ -1,23 +1,22 @@
-"""An episode as moving pictures: the official walker, and what the team was at beside it."""
+"""An episode as moving pictures: the walker, and what the team was at beside it."""
 
-import contextlib
 import io
 import itertools
 import pathlib
-import warnings
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
-import gymnasium
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from hitl_jax.commands.stage import Stage
-from hitl_jax.envs import WALKER, Command
+from hitl_jax.envs import Command
 from hitl_jax.envs.jax_pool import JaxPool
 from hitl_jax.figure_parts import COLOURS, GREY, import_matplotlib
 from hitl_jax.files import write_bytes_atomic
+from hitl_jax.live.plant import Answer, Plant
 from hitl_jax.recording import Recording
+from hitl_jax.walker import parts
 
 FORMATS = (".gif", ".mp4")
 _RATE = 50  # steps a second
@@ -48,53 +47,72 @@ class Caption(NamedTuple):
 
 
 Steps = Iterator[tuple[Any, Any, float]]
-"""For each step s_t [O], a picture of it as RGB bytes [H, W, 3] or None, and r_t."""
+"""For each step s_t [O], a picture of it or None, and r_t."""
 
 
 def play(backend: str, seed: int, actions: np.ndarray, pictures: bool = True) -> Steps:
     """Plays an episode again.
 
     Args:
-        backend: `jax`, or else gymnasium's own walker.
+        backend: `jax`, or else Box2D's walker.
         seed: reset seed.
         actions: executed actions, [T, A].
         pictures: whether to draw.
 
     Returns:
         Its steps.
+
+    Raises:
+        ImportError: if Box2D is needed and missing; one line that says what to install.
     """
-    return (_play_ours if backend == "jax" else _play_official)(seed, actions, pictures)
+    plant = _JaxPlant() if backend == "jax" else Plant()
+    observation = plant.reset(seed)
+    stage = Stage(**plant.terrain()) if pictures else None
+    for action in actions:
+        picture = stage.picture(plant.bodies()) if stage else None
+        answer = plant.step(action)
+        yield observation, picture, answer.reward
+        observation = answer.observation
 
 
-def _play_ours(seed: int, actions: np.ndarray, pictures: bool) -> Steps:
-    with JaxPool(1, 1) as pool:
-        seeds = np.array([seed], np.uint32)
-        before = pool.step(np.array([Command.RESET]), np.zeros((1, 4)), seeds).observation[0]
-        stage = Stage(pool.walker(0).terrain) if pictures else None
-        for action in actions:
-            picture = stage.picture(pool.walker(0)) if stage else None
-            after = pool.step(np.array([Command.STEP]), action[None], seeds)
-            yield before, picture, float(after.reward[0])
-            before = after.observation[0]
+class _JaxPlant:
+    """The walker in JAX, played and seen as `Plant` is."""
 
+    def __init__(self) -> None:
+        self._pool = JaxPool(1, 1)
+        self._seed = np.zeros(1, np.uint32)
 
-def _play_official(seed: int, actions: np.ndarray, pictures: bool) -> Steps:
-    with warnings.catch_warnings():
-        # What Box2D and pygame say at import; as errors, Box2D's end the process.
-        warnings.simplefilter("ignore")
-        env = gymnasium.make(WALKER, render_mode="rgb_array" if pictures else None)
-    with contextlib.closing(env):
-        observation, _ = env.reset(seed=seed)
-        for action in actions:
-            picture = env.render() if pictures else None
-            after, reward, *_ = env.step(action)
-            # As the pools give it, and as the counts were made.
-            yield observation, picture, float(np.float32(reward))
-            observation = after
+    def reset(self, seed: int) -> np.ndarray:
+        self._seed[0] = seed
+        return self._tick(Command.RESET, np.zeros(4)).observation
+
+    def step(self, action: np.ndarray) -> Answer:
+        return self._tick(Command.STEP, action)
+
+    def _tick(self, command: int, action: np.ndarray) -> Answer:
+        answer = self._pool.step(np.array([command]), action[None], self._seed)
+        return Answer(
+            answer.observation[0],
+            float(answer.reward[0]),
+            bool(answer.terminated[0]),
+            bool(answer.truncated[0]),
+        )
+
+    def terrain(self) -> dict[str, list[float]]:
+        heights = self._pool.walker(0).terrain.heights
+        return {"x": parts.CORNER_X.tolist(), "y": np.asarray(heights).tolist()}
+
+    def bodies(self) -> list[tuple[float, ...]]:
+        world = self._pool.walker(0).world
+        angles = np.asarray(world.angle, np.float64)
+        places = np.stack([world.place.x, world.place.y], -1).astype(np.float64)
+        cos, sin = np.cos(angles[0]), np.sin(angles[0])
+        places[0] -= np.array([[cos, -sin], [sin, cos]]) @ parts.HULL_CENTRE
+        return [tuple(body) for body in np.column_stack([places, angles]).tolist()]
 
 
 def annotate(
-    pictures: Iterable[tuple[np.ndarray, float]], episode: Recording, caption: Caption
+    pictures: Iterable[tuple[Image.Image, float]], episode: Recording, caption: Caption
 ) -> Iterator[Image.Image]:
     """Writes over each picture how the team stood.
 
@@ -111,7 +129,7 @@ def annotate(
     for step, (picture, so_far) in enumerate(pictures):
         boundary, alarmed, acts, control = (column[step] for column in columns.values())
         indicator = caption.indicators[step]
-        image = Image.fromarray(picture).convert("RGB")
+        image = picture.copy()
         draw = ImageDraw.Draw(image, "RGBA")
         draw.rectangle((0, 0, image.width, _PANEL), fill=(255, 255, 255, 215))
         draw.text((10, 5), caption.title, GREY, small)

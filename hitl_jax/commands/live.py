@@ -35,6 +35,7 @@ from hitl_jax.config import (
     validate_hyper,
 )
 from hitl_jax.differences import changes, completed
+from hitl_jax.envs import box2d
 from hitl_jax.evaluation import frozen
 from hitl_jax.files import ResultsError, write_bytes_atomic
 from hitl_jax.live import journal, person
@@ -192,6 +193,7 @@ def main(options: LiveOptions) -> int:
     with contextlib.ExitStack() as held:
         with checking_input():
             options = options.checked()
+            box2d.require("the live walker")
             header = options.header()
             setup = setup_of(options)
             try:

@@ -56,7 +56,8 @@ class SweepOptions:
             preset's).
         backend: `lean`, equal to gymnasium's walker bit for bit and twice as fast; `gymnasium`,
             the official one; `envpool`, whose terrain cannot be seeded (needs the extra `fast`);
-            `jax`, our own, compiled, which agrees with them up to rounding.
+            `jax`, our own, compiled, which agrees with them up to rounding (default: lean, or jax
+            where Box2D cannot be imported).
         workers: processes that step walkers, or CPU devices with `jax` (default: one a core).
         slots: runs at a time, at least two a core; the others wait. Each takes capacity x 140 bytes
             of memory.
@@ -80,7 +81,7 @@ class SweepOptions:
     first_seed: int = 0
     episodes: int | None = None
     test_episodes: int | None = None
-    backend: str = "lean"
+    backend: str | None = None
     workers: int | None = None
     slots: int = 32
     human: str = judgements.SIMULATED
@@ -126,7 +127,7 @@ class SweepOptions:
         """
         if self.preset not in PRESETS:
             raise ValueError(f"--preset {self.preset}: must be one of {', '.join(PRESETS)}")
-        if self.backend not in BACKENDS:
+        if self.backend is not None and self.backend not in BACKENDS:
             raise ValueError(f"--backend {self.backend}: must be one of {', '.join(BACKENDS)}")
         known = list(Method)
         if not self.methods or any(method not in known for method in self.methods):

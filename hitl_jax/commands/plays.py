@@ -8,7 +8,7 @@ import numpy as np
 from hitl_jax.agent import Agent
 from hitl_jax.commands.trained import load_trained
 from hitl_jax.differences import changes
-from hitl_jax.envs import WalkerPool
+from hitl_jax.envs import WalkerPool, require_backend
 from hitl_jax.episode_log import playback
 from hitl_jax.episodes import Row
 from hitl_jax.evaluation import Evaluator, Mode, evaluate_policies
@@ -92,9 +92,18 @@ def play_tests(
 
 
 def playing_backend(folder: ResultsFolder) -> str:
-    """On which backend episodes of a folder are played again."""
-    backend = folder.load_config().get("backend")
-    return "jax" if backend == "jax" else "lean"  # Which equals gymnasium's, and is the quicker.
+    """On which backend episodes of a folder are played again.
+
+    Raises:
+        ResultsError: in one line, if that cannot be had here.
+    """
+    made = folder.load_config().get("backend")
+    backend = "jax" if made == "jax" else "lean"  # Which equals gymnasium's, and is the quicker.
+    try:
+        require_backend(backend)
+    except ImportError as error:
+        raise ResultsError(f"{folder.path}: made with --backend {made}: {error}") from error
+    return backend
 
 
 def tell_differences(folder: ResultsFolder, keys: Iterable[RunKey]) -> None:

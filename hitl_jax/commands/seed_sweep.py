@@ -1,8 +1,8 @@
 """The main job: `hitl-jax sweep`.
 
-Trains SRL, HITL-FIX and HITL-AC over a batch of seeds on Box2D's BipedalWalker-v3, tests each
-trained walker, and writes tables and Figures 4 to 6. Started again in the same folder it goes on
-where it was.
+Trains SRL, HITL-FIX and HITL-AC over a batch of seeds on BipedalWalker-v3, tests each trained
+walker, and writes tables and Figures 4 to 6. Started again in the same folder it goes on where it
+was.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ from hitl_jax.commands.options import SweepOptions
 from hitl_jax.commands.progress import Progress
 from hitl_jax.commands.signals import Interrupted
 from hitl_jax.commands.training import Batch, Plant, Tested, make_team, policy_digest
-from hitl_jax.envs import make_pool
+from hitl_jax.envs import box2d, default_backend, make_pool, require_backend
 from hitl_jax.episodes import ALARM_WINDOW, LOST_TESTS, num_lost
 from hitl_jax.files import ResultsError, locked
 from hitl_jax.human import recorded
@@ -54,17 +54,15 @@ def main(options: SweepOptions) -> int:
     """
     with contextlib.ExitStack() as held:
         with checking_input():
-            options = options.checked()
+            options, note = _with_backend(options.checked())
             dangerous = judgements.load(options.human)
             judge = None if dangerous is None else recorded(dangerous)
             agent = make_team(options.agent, options.human_policy, judge)
             folder = ResultsFolder(options.out)
             config = _config(options) | judgements.digest(dangerous)
-            if options.backend == "envpool":
-                make_pool(
-                    "envpool", 1
-                ).close()  # a missing extra is noticed before a folder is made
             held.enter_context(options.launch.ready())
+            if note:
+                print(note, flush=True)
             command = shlex.join(["hitl-jax", "sweep", *sys.argv[1:]])
             try:
                 held.enter_context(locked(folder.path))
@@ -79,6 +77,24 @@ def main(options: SweepOptions) -> int:
         return _Sweep(options, agent, folder, config).run()
 
 
+def _with_backend(options: SweepOptions) -> tuple[SweepOptions, str]:
+    """The options with a backend that can be had here, and a line to be said if it is not lean.
+
+    Raises:
+        ImportError: one line that says what to install for the backend that is asked for.
+    """
+    if options.backend is not None:
+        require_backend(options.backend)
+        if options.backend == "envpool":
+            make_pool("envpool", 1).close()  # A missing extra is noticed before a folder is made.
+        return options, ""
+    chosen = default_backend()
+    note = (
+        "" if chosen == "lean" else f"Box2D cannot be imported ({box2d.missing()}): --backend jax"
+    )
+    return dataclasses.replace(options, backend=chosen), note
+
+
 class _Sweep:
     """The runs that are left to do, with all that happens around them."""
 
@@ -91,6 +107,7 @@ class _Sweep:
         wanted = options.specs()
         finished = folder.finished()
         specs = [spec for spec in wanted if spec.key not in finished]
+        assert options.backend is not None
         plant = Plant(
             options.backend, options.slots, options.workers, options.scale().test_episodes
         )

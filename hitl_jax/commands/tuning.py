@@ -28,7 +28,7 @@ from hitl_jax.config import (
     require_whole,
 )
 from hitl_jax.differences import completed
-from hitl_jax.envs import make_pool
+from hitl_jax.envs import make_pool, require_backend
 from hitl_jax.episodes import FALL_REWARD
 from hitl_jax.evaluation import MOST_TEST_EPISODES, Evaluator, evaluate_runs
 from hitl_jax.provenance import git_commit, short_commit
@@ -118,6 +118,8 @@ def main(options: TuningOptions) -> int:
         path = out / f"{name}.json"
         if (known := _load(path)) is not None and completed(known["asked"]) == asked:
             continue
+        with checking_input():
+            require_backend("lean")
         stages, tests = _measure(name, agent, loop, hyper, options)
         done = {"asked": asked, "commit": git_commit(), "stages": stages, "tests": tests}
         files.write_text_atomic(path, json.dumps(done, indent=1, allow_nan=False) + "\n")

@@ -1,12 +1,10 @@
-"""Pools of walkers: gymnasium and EnvPool are imported here alone, and lazily.
-
-But for the numbers of gymnasium's walker, which `hitl_jax.walker.parts` reads.
-"""
+"""Pools of walkers: gymnasium, Box2D and EnvPool are imported here alone, and lazily."""
 
 import operator
 import os
 import sys
 
+from hitl_jax.envs import box2d
 from hitl_jax.envs.base import Command, StepBatch, Unplayable, WalkerError, WalkerPool
 
 BACKENDS = ("lean", "gymnasium", "envpool", "jax")
@@ -24,9 +22,33 @@ __all__ = [
     "StepBatch",
     "WalkerError",
     "WalkerPool",
+    "default_backend",
     "make_pool",
     "num_cores",
+    "require_backend",
 ]
+
+
+def default_backend() -> str:
+    """`lean`, or `jax` where Box2D cannot be imported."""
+    return "lean" if box2d.missing() is None else "jax"
+
+
+def require_backend(backend: str, env_id: str = WALKER) -> None:
+    """Notices before any work that what a backend's walkers stand on is missing.
+
+    Args:
+        backend: one of `BACKENDS`.
+        env_id: one of `OUR_WALKERS`, or any other, of which nothing is known.
+
+    Raises:
+        ImportError: one line that says what to install.
+    """
+    if env_id in OUR_WALKERS:
+        if backend == "lean":
+            box2d.require("backend 'lean'")
+        elif backend == "gymnasium":
+            box2d.require_gymnasium("backend 'gymnasium'")
 
 
 def make_pool(
@@ -59,7 +81,7 @@ def make_pool(
 
     Raises:
         ValueError: if an argument is not allowed; one line with its name, value and what is.
-        ImportError: if EnvPool is asked for and missing; one line with the extra to install.
+        ImportError: if EnvPool or Box2D is needed and missing; one line that says what to install.
         WalkerError: if a worker process does not come up.
     """
     if backend not in BACKENDS:
@@ -90,6 +112,7 @@ def make_pool(
         from hitl_jax.envs.jax_pool import JaxPool
 
         return JaxPool(num_walkers, num_workers, env_id == HARDCORE_WALKER)
+    require_backend(backend, env_id)
     from hitl_jax.envs.worker_pool import WorkerPool
 
     return WorkerPool(backend, env_id, num_walkers, num_workers)

@@ -1,7 +1,7 @@
-"""Gymnasium's bipedal walker, the same numbers in half the time.
+"""Gymnasium's bipedal walker on Box2D, the same numbers in half the time.
 
-The world and its solver are the official ones, Box2D through gymnasium's own class. What is done
-differently leaves every bit of an episode as it was:
+Body, terrain and rewards are built from `hitl_jax.bipedal`; the world and its solver are Box2D's
+own. What is done otherwise than in gymnasium's class leaves every bit of an episode as it is there:
 
 - The edges of the terrain share a few static bodies instead of having one each: the solver visits
   every body at each step.
@@ -10,34 +10,35 @@ differently leaves every bit of an episode as it was:
 - Observations and rewards are computed for all walkers at once.
 - The world is dropped whole at a reset, not body by body; clouds are drawn from the generator, not
   built.
-- Plain terrain is drawn here, from the same random numbers.
 - Who touches the ground is told by the address of a body, not by comparing proxies, and what
   Box2D says of every contact before and after solving it is answered at once.
 """
 
 import itertools
-import math
 import platform
-import types
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import gymnasium
 import numpy as np
-from Box2D import b2ContactListener, b2World  # type: ignore[import-untyped]
-from gymnasium.envs.box2d import bipedal_walker as official
 
+from hitl_jax import bipedal
+from hitl_jax.envs import HARDCORE_WALKER, box2d
 from hitl_jax.envs.base import Command
 from hitl_jax.envs.shared import SharedArrays
 
-_ANGLES = [1.5 * ray / 10.0 for ray in range(10)]
-_REACH = np.array(
-    [
-        [math.sin(angle) * official.LIDAR_RANGE for angle in _ANGLES],
-        [-math.cos(angle) * official.LIDAR_RANGE for angle in _ANGLES],
-    ]
-)
-_SPANS = np.ceil(_REACH[0] / official.TERRAIN_STEP).astype(int) + 3
+with box2d.quiet():
+    from Box2D import (  # type: ignore[import-untyped]
+        b2ContactListener,
+        b2EdgeShape,
+        b2FixtureDef,
+        b2PolygonShape,
+        b2RayCastCallback,
+        b2RevoluteJointDef,
+        b2World,
+    )
+
+_REACH = np.array(bipedal.LIDAR_REACH).T
+_SPANS = np.ceil(_REACH[0] / bipedal.TERRAIN_STEP).astype(int) + 3
 """Edges that each ray may meet, with one to spare on either side."""
 
 _WINDOW = int(_SPANS.max())
@@ -50,79 +51,66 @@ _BODIES = 20
 """Bodies that the edges share in turn. Contacts with one body are not independent of each other in
 Box2D; edges of one body are so far apart (9 m) that a walker (at most 5 m) meets one at a time."""
 
-_CLOUD_DRAWS = official.TERRAIN_LENGTH // 20 * 11
-"""Numbers that gymnasium draws for its clouds: of each, a place and five corners."""
-
 # Elsewhere the compiler of Box2D may have fused a product and a sum, which rounds differently.
 _ROUNDS_ALIKE = platform.machine().lower() in ("x86_64", "amd64")
 
-_SPEEDS = np.array([official.SPEED_HIP, official.SPEED_KNEE] * 2, np.float32)
-_GOAL = (official.TERRAIN_LENGTH - official.TERRAIN_GRASS) * official.TERRAIN_STEP
+_SPEEDS = np.array([bipedal.SPEED_HIP, bipedal.SPEED_KNEE] * 2, np.float32)
+
+_PLACES = [corner * bipedal.TERRAIN_STEP for corner in range(bipedal.TERRAIN_LENGTH)]
+"""Of the ground's corners [m]."""
+
+_GROUND, _WALKER = 0x0001, 0x0020
+"""Box2D's categories of bodies; the walker's parts meet the ground alone."""
 
 
-def _draw_grass(rng: np.random.Generator) -> list[float]:
-    """Heights of plain terrain [m], from the numbers that gymnasium's class draws.
-
-    A flat start, then stretches of 5 to 9 corners, the first of which repeats the height before.
-    """
-    start, length = official.TERRAIN_HEIGHT, official.TERRAIN_LENGTH
-    stretches = official.TERRAIN_GRASS // 2, official.TERRAIN_GRASS
-    height, velocity = start, 0.0
-    heights = [height] * official.TERRAIN_STARTPAD
-    stretch = int(rng.integers(*stretches))
-    while len(heights) < length:
-        heights.append(height)
-        pushes = min(stretch - 1, length - len(heights))
-        for push in (rng.uniform(-1, 1, pushes) / official.SCALE).tolist():
-            toward = 0.01 if height < start else -0.01 if height > start else 0.0
-            velocity = 0.8 * velocity + toward + push
-            height += velocity
-            heights.append(height)
-        if pushes == stretch - 1:  # Gymnasium draws the next one here, at the last corner too.
-            stretch = int(rng.integers(*stretches))
-    return heights
+def _part(shape: Any, density: float, friction: float) -> Any:
+    """What Box2D makes a part of the walker of."""
+    return b2FixtureDef(
+        shape=shape,
+        density=density,
+        friction=friction,
+        restitution=0.0,
+        categoryBits=_WALKER,
+        maskBits=_GROUND,
+    )
 
 
-class _Recorder:
-    """Takes the place of the world while gymnasium's class draws a terrain: keeps obstacles."""
-
-    def __init__(self) -> None:
-        self.obstacles: list[Sequence[tuple[float, float]]] = []
-
-    def CreateStaticBody(self, fixtures: Any) -> Any:
-        """Keeps a shape that is no edge; gymnasium colours what it gets back."""
-        vertices = tuple(fixtures.shape.vertices)
-        if len(vertices) > 2:
-            self.obstacles.append(vertices)
-        return types.SimpleNamespace()
+def _leg_part(width: float) -> Any:
+    shape = b2PolygonShape(box=(width / 2, bipedal.LEG_H / 2))
+    return _part(shape, bipedal.LEG_DENSITY, bipedal.LEG_FRICTION)
 
 
-def _blank() -> Any:
-    """Takes the place of a fixture definition, which copies its vertices into Box2D."""
-    return types.SimpleNamespace(shape=types.SimpleNamespace(vertices=()))
+def _ground(shape: Any) -> Any:
+    return b2FixtureDef(shape=shape, friction=bipedal.GROUND_FRICTION, categoryBits=_GROUND)
+
+
+_HULL = _part(
+    b2PolygonShape(vertices=[(x / bipedal.SCALE, y / bipedal.SCALE) for x, y in bipedal.HULL_POLY]),
+    bipedal.HULL_DENSITY,
+    bipedal.HULL_FRICTION,
+)
+_THIGH, _SHIN = _leg_part(bipedal.LEG_W), _leg_part(bipedal.SHIN_W)
 
 
 class _Contacts(b2ContactListener):
     """Notes on a walker's parts whether they touch the ground, as gymnasium's listener does."""
 
-    def __init__(self, walker: "_Walker"):
+    def __init__(self, hull: Any, legs: Sequence[Any]):
         super().__init__()
-        assert walker.hull is not None
-        self._walker = walker
-        self._hull = int(walker.hull.this)
-        self._parts = {int(part.this): part for part in (walker.hull, *walker.legs)}
+        self._hull = int(hull.this)
+        self.fallen = False
+        self.stands = dict.fromkeys((int(part.this) for part in (hull, *legs)), False)
 
     def BeginContact(self, contact: Any) -> None:
         """The hull ends the episode, a foot stands; of the others nobody asks."""
         part = self._part(contact)
         if part == self._hull:
-            self._walker.game_over = True
-        else:
-            self._parts[part].ground_contact = True
+            self.fallen = True
+        self.stands[part] = True
 
     def EndContact(self, contact: Any) -> None:
         """A foot has left one of the things that it stood on."""
-        self._parts[self._part(contact)].ground_contact = False
+        self.stands[self._part(contact)] = False
 
     def _part(self, contact: Any) -> int:
         """Address of the walker's body in a contact; the other body is the ground's.
@@ -130,7 +118,7 @@ class _Contacts(b2ContactListener):
         Between an edge and a polygon Box2D names the polygon last: a second look is rare.
         """
         body = int(contact.fixtureB.body.this)
-        return body if body in self._parts else int(contact.fixtureA.body.this)
+        return body if body in self.stands else int(contact.fixtureA.body.this)
 
     # Box2D calls these for every contact at every step. Those of the base class do nothing either,
     # but only after a way back into Box2D.
@@ -142,64 +130,106 @@ class _Contacts(b2ContactListener):
         """Nor after it."""
 
 
-class _Walker(official.BipedalWalker):
-    """One walker, its terrain on few bodies; advanced and read from outside."""
+class _Lidar(b2RayCastCallback):
+    """How far a ray got: what it meets comes in any order."""
+
+    fraction = 1.0
+
+    def ReportFixture(self, fixture: Any, point: Any, normal: Any, fraction: float) -> float:
+        """Cuts the ray where it meets the ground; the walker's own parts do not count."""
+        if not fixture.filterData.categoryBits & _GROUND:
+            return -1
+        self.fraction = fraction
+        return fraction
+
+
+class _Walker:
+    """One walker, its terrain on few bodies; advanced and read from outside.
+
+    Attributes:
+        hull: its body in Box2D.
+        legs: thigh and shin of one leg, of the other.
+        joints: hip and knee of one leg, of the other.
+        contacts: what touches the ground.
+        only_edges: whether the ground is without obstacles.
+        heights: of its corners [m].
+    """
 
     def __init__(self, hardcore: bool):
-        super().__init__(hardcore=hardcore)
-        self._edge, self.fd_edge = self.fd_edge, _blank()
-        self._polygon, self.fd_polygon = self.fd_polygon, _blank()
+        self._hardcore = hardcore
+        self._edge = _ground(b2EdgeShape(vertices=[(0, 0), (1, 1)]))
+        self._polygon = _ground(b2PolygonShape(box=(1, 1)))
+        self._lidar = [_Lidar() for _ in bipedal.LIDAR_REACH]
+        self.heights: list[float] = []
         self.only_edges = False
 
     def start(self, seed: int) -> None:
-        """Begins the episode of a seed in a new world."""
-        self.terrain = []  # Nothing to destroy: the old world goes as a whole.
-        self.world = b2World()
-        self.reset(seed=seed)
+        """Begins the episode of a seed in a new world, and makes the step that ends a reset."""
+        drawn = bipedal.draw_start(bipedal.random_numbers(seed), self._hardcore)
+        self._world = b2World()
+        self._build_ground(drawn.heights, drawn.boxes)
+        self._build_body()
+        self.hull.ApplyForceToCenter((drawn.push, 0), True)
+        # The world keeps no reference of its own to its listener.
+        self.contacts = _Contacts(self.hull, self.legs)
+        self._world.contactListener = self.contacts
+        self._feet = [int(shin.this) for shin in self.legs[1::2]]
+        self.advance([0.0] * 4, [0.0] * 4)
 
-    def _generate_terrain(self, hardcore: bool) -> None:
-        world = self.world
-        assert world is not None
-        if hardcore:
-            self.world = _Recorder()
-            super()._generate_terrain(hardcore)
-            obstacles, self.world = self.world.obstacles, world
-            for vertices in obstacles:
-                self._polygon.shape.vertices = vertices
-                world.CreateStaticBody(fixtures=self._polygon)
-            self.only_edges = not obstacles
-        else:
-            self.terrain_x = [i * official.TERRAIN_STEP for i in range(official.TERRAIN_LENGTH)]
-            self.terrain_y = _draw_grass(self.np_random)
-            self.only_edges = True
+    def _build_ground(self, heights: list[float], boxes: list[bipedal.Box]) -> None:
+        self.heights, self.only_edges = heights, not boxes
+        world, polygon = self._world, self._polygon.shape
+        for left, bottom, right, top in boxes:
+            polygon.vertices = [(left, bottom), (right, bottom), (right, top), (left, top)]
+            world.CreateStaticBody(fixtures=self._polygon)
         bodies = [world.CreateStaticBody() for _ in range(_BODIES)]
-        corners = zip(self.terrain_x, self.terrain_y, strict=True)
+        corners = zip(_PLACES, heights, strict=True)
         edge = self._edge.shape
         for place, (edge.vertex1, edge.vertex2) in enumerate(itertools.pairwise(corners)):
             bodies[place % _BODIES].CreateFixture(self._edge)
 
-    def _generate_clouds(self) -> None:
-        self.np_random.random(_CLOUD_DRAWS)
-
-    def step(self, action: np.ndarray) -> Any:
-        """The step without motors that ends gymnasium's reset; what it saw is read from outside."""
-        # The world keeps no reference of its own to its listener.
-        self.world.contactListener_bug_workaround = _Contacts(self)
-        self.world.contactListener = self.world.contactListener_bug_workaround
-        self.advance([0.0] * 4, [0.0] * 4)
-        return None, 0.0, False, False, {}
+    def _build_body(self) -> None:
+        x, y, height = bipedal.START_X, bipedal.START_Y, bipedal.LEG_H
+        hip, top, bottom = (0, bipedal.LEG_DOWN), (0, height / 2), (0, -height / 2)
+        world = self._world
+        self.hull = world.CreateDynamicBody(position=(x, y), fixtures=_HULL)
+        self.legs, self.joints = [], []
+        for side in bipedal.SIDES:
+            above, anchor = self.hull, hip
+            for part, middle, limits in (
+                (_THIGH, height / 2, bipedal.HIP_LIMITS),
+                (_SHIN, height * 3 / 2, bipedal.KNEE_LIMITS),
+            ):
+                leg = world.CreateDynamicBody(
+                    position=(x, y - middle - bipedal.LEG_DOWN),
+                    angle=side * bipedal.LEG_TILT,
+                    fixtures=part,
+                )
+                joint = b2RevoluteJointDef(
+                    bodyA=above,
+                    bodyB=leg,
+                    localAnchorA=anchor,
+                    localAnchorB=top,
+                    enableMotor=True,
+                    enableLimit=True,
+                    lowerAngle=limits[0],
+                    upperAngle=limits[1],
+                )
+                self.legs.append(leg)
+                self.joints.append(world.CreateJoint(joint))
+                above, anchor = leg, bottom
 
     def advance(self, speeds: list[float], torques: list[float]) -> None:
         """Sets the motors and steps the world."""
         for joint, speed, torque in zip(self.joints, speeds, torques, strict=True):
             joint.motorSpeed = speed
             joint.maxMotorTorque = torque
-        self.world.Step(1.0 / official.FPS, 6 * 30, 2 * 30)
+        self._world.Step(bipedal.SECONDS, bipedal.VELOCITY_ROUNDS, bipedal.POSITION_ROUNDS)
 
     def read(self) -> tuple[float, ...]:
         """Place, velocity and angle of the hull, of the joints, contacts; see `_answer`."""
-        hull, legs = self.hull, self.legs
-        assert hull is not None
+        hull, stands = self.hull, self.contacts.stands
+        foot, other_foot = self._feet
         place, velocity = hull.position, hull.linearVelocity
         hip, knee, other_hip, other_knee = self.joints
         return (
@@ -211,24 +241,23 @@ class _Walker(official.BipedalWalker):
             hip.speed,
             knee.angle,
             knee.speed,
-            legs[1].ground_contact,
+            stands[foot],
             other_hip.angle,
             other_hip.speed,
             other_knee.angle,
             other_knee.speed,
-            legs[3].ground_contact,
+            stands[other_foot],
             place.x,
             place.y,
-            self.game_over,
+            self.contacts.fallen,
         )
 
     def cast(self) -> Iterator[float]:
         """Box2D's own lidar."""
-        assert self.hull is not None
         place = self.hull.position
-        for ray, (x, y) in zip(self.lidar, _REACH.T.tolist(), strict=True):
+        for ray, (x, y) in zip(self._lidar, bipedal.LIDAR_REACH, strict=True):
             ray.fraction = 1.0
-            self.world.RayCast(ray, place, (place.x + x, place.y + y))
+            self._world.RayCast(ray, place, (place.x + x, place.y + y))
             yield ray.fraction
 
 
@@ -242,12 +271,12 @@ class _Edges:
 
     def __init__(self, num_walkers: int):
         # Past the end of the terrain are edges of no length, which no ray meets.
-        edges = official.TERRAIN_LENGTH - 1 + _WINDOW
+        edges = bipedal.TERRAIN_LENGTH - 1 + _WINDOW
         self._columns = np.zeros((7, edges, num_walkers), np.float32)
 
-    def set(self, walker: int, x: Sequence[float], y: Sequence[float]) -> None:
-        """Takes the terrain of a walker: the corners of its edges."""
-        corner = np.array([x, y], np.float32)
+    def set(self, walker: int, heights: Sequence[float]) -> None:
+        """Takes the terrain of a walker: the heights of its corners [m]."""
+        corner = np.array([_PLACES, heights], np.float32)
         start, along = corner[:, :-1], np.diff(corner)
         squares = along * along
         length = np.sqrt(squares[0] + squares[1])
@@ -266,7 +295,7 @@ class _Edges:
         Returns:
             Fractions, 1 where a ray meets nothing, float32 [M, 10].
         """
-        first = np.floor(place[0] / official.TERRAIN_STEP).astype(np.int64) - 1
+        first = np.floor(place[0] / bipedal.TERRAIN_STEP).astype(np.int64) - 1
         first = np.clip(first, 0, self._columns.shape[1] - _WINDOW)
         edges = self._columns[:, first + np.arange(_WINDOW)[:, None], walkers]  # [7, window, M]
         here = place.astype(np.float32)[:, None]
@@ -305,10 +334,8 @@ class LeanWalkers:
             env_id: one of `OUR_WALKERS`.
             num_walkers: of this process.
         """
-        spec = gymnasium.spec(env_id)
-        assert spec.max_episode_steps is not None
-        self._limit = spec.max_episode_steps
-        hardcore = bool(spec.kwargs.get("hardcore", False))
+        hardcore = env_id == HARDCORE_WALKER
+        self._limit = bipedal.MOST_HARDCORE_STEPS if hardcore else bipedal.MOST_STEPS
         self._walkers = [_Walker(hardcore) for _ in range(num_walkers)]
         self._edges = _Edges(num_walkers)
         self._steps = np.zeros(num_walkers, np.int64)
@@ -322,10 +349,10 @@ class LeanWalkers:
             walker.start(int(arrays.seed[index]))
             self._steps[index] = 0
             if walker.only_edges:
-                self._edges.set(index, walker.terrain_x, walker.terrain_y)
+                self._edges.set(index, walker.heights)
         strength = np.clip(np.abs(arrays.action), 0, 1)
         speeds = (_SPEEDS * np.sign(arrays.action)).tolist()
-        torques = (official.MOTORS_TORQUE * strength).tolist()
+        torques = (bipedal.MOTORS_TORQUE * strength).tolist()
         for index in np.flatnonzero(stepped).tolist():
             self._walkers[index].advance(speeds[index], torques[index])
         played = np.flatnonzero(arrays.command != Command.IDLE)
@@ -334,8 +361,7 @@ class LeanWalkers:
 
     def terrain(self, index: int) -> tuple[list[float], list[float]]:
         """Corners of a walker's ground: places along it and heights [m]."""
-        walker = self._walkers[index]
-        return list(walker.terrain_x), list(walker.terrain_y)
+        return list(_PLACES), list(self._walkers[index].heights)
 
     def bodies(self, index: int) -> list[tuple[float, float, float]]:
         """Place [m] and angle [rad] of a walker's hull, thigh, shin, thigh and shin."""
@@ -352,16 +378,16 @@ class LeanWalkers:
         place, over = raw[14:16], raw[16] > 0
         arrays.observation[rows, :14] = _proprioception(raw).T
         arrays.observation[rows, 14:] = self._lidar(played, place)
-        shaping = 130 * place[0] / official.SCALE - 5.0 * np.abs(raw[0])
+        shaping = 130 * place[0] / bipedal.SCALE - 5.0 * np.abs(raw[0])
         reward = (shaping - self._shaping[rows]).astype(np.float32)
-        for effort in (np.float32(0.00035 * official.MOTORS_TORQUE) * strength).T:
+        for effort in (np.float32(0.00035 * bipedal.MOTORS_TORQUE) * strength).T:
             reward -= effort
         fallen = over | (place[0] < 0)
         reward[fallen] = -100
         self._shaping[rows] = shaping
         self._steps[rows] += stepped
         arrays.reward[rows] = np.where(stepped, reward, 0)
-        arrays.terminated[rows] = stepped & (fallen | (place[0] > _GOAL))
+        arrays.terminated[rows] = stepped & (fallen | (place[0] > bipedal.GOAL))
         arrays.truncated[rows] = stepped & (self._steps[rows] >= self._limit)
 
     def _lidar(self, played: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -376,10 +402,10 @@ class LeanWalkers:
 def _proprioception(raw: np.ndarray) -> np.ndarray:
     """The 14 numbers before lidar, from what `_Walker.read` gives; [14, M]."""
     state = raw[:14].copy()
-    state[1] = 2.0 * raw[1] / official.FPS
-    state[2] = 0.3 * raw[2] * (official.VIEWPORT_W / official.SCALE) / official.FPS
-    state[3] = 0.3 * raw[3] * (official.VIEWPORT_H / official.SCALE) / official.FPS
-    state[5:11:5] /= official.SPEED_HIP
+    state[1] = 2.0 * raw[1] / bipedal.FPS
+    state[2] = 0.3 * raw[2] * (bipedal.VIEWPORT_W / bipedal.SCALE) / bipedal.FPS
+    state[3] = 0.3 * raw[3] * (bipedal.VIEWPORT_H / bipedal.SCALE) / bipedal.FPS
+    state[5:11:5] /= bipedal.SPEED_HIP
     state[6:12:5] += 1.0
-    state[7:13:5] /= official.SPEED_KNEE
+    state[7:13:5] /= bipedal.SPEED_KNEE
     return state

@@ -1,20 +1,13 @@
-"""One walker in this process, whose bodies can be seen: gymnasium's, by the lean pool's rules."""
+"""One walker in this process, whose bodies can be seen: by the lean pool's rules."""
 
-import warnings
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hitl_jax.envs import WALKER
+from hitl_jax import bipedal
+from hitl_jax.envs import WALKER, box2d
 from hitl_jax.envs.base import Command
 from hitl_jax.envs.shared import SharedArrays
-
-with warnings.catch_warnings():
-    # SWIG's types warn as Box2D is first imported; as an error that ends the process.
-    warnings.simplefilter("ignore")
-    from gymnasium.envs.box2d import bipedal_walker as official
-
-    from hitl_jax.envs.lean import LeanWalkers
 
 LIDAR = slice(14, 24)
 """Of an observation: shares of the rays."""
@@ -43,7 +36,14 @@ class Plant:
     """The walker of a live session."""
 
     def __init__(self) -> None:
-        """Waits for the first reset."""
+        """Waits for the first reset.
+
+        Raises:
+            ImportError: if Box2D is missing; one line that says what to install.
+        """
+        box2d.require("the live walker")
+        from hitl_jax.envs.lean import LeanWalkers
+
         self._walkers = LeanWalkers(WALKER, 1)
         self._arrays = SharedArrays(
             action=np.zeros((1, 4), np.float32),
@@ -88,15 +88,18 @@ class Plant:
 
 def shapes() -> dict[str, Any]:
     """What does not move in the frame of its body: outlines [m], rays, and where the goal is."""
-    scale = official.SCALE
-    width, height = official.LEG_W, official.LEG_H
-    hull = [(x / scale, y / scale) for x, y in official.HULL_POLY]
-    thigh, shin = _box(width, height), _box(0.8 * width, height)
     return {
-        "shapes": [hull, thigh, shin, thigh, shin],
-        "lidar": {"angles": [1.5 * ray / 10 for ray in range(10)], "range": official.LIDAR_RANGE},
-        "goal": (official.TERRAIN_LENGTH - official.TERRAIN_GRASS) * official.TERRAIN_STEP,
+        "shapes": outlines(),
+        "lidar": {"angles": list(bipedal.LIDAR_ANGLES), "range": bipedal.LIDAR_RANGE},
+        "goal": bipedal.GOAL,
     }
+
+
+def outlines() -> list[list[tuple[float, float]]]:
+    """Corners of hull, thigh, shin, thigh and shin, each in the frame of its body [m]."""
+    hull = [(x / bipedal.SCALE, y / bipedal.SCALE) for x, y in bipedal.HULL_POLY]
+    thigh, shin = (_box(width, bipedal.LEG_H) for width in (bipedal.LEG_W, bipedal.SHIN_W))
+    return [hull, thigh, shin, thigh, shin]
 
 
 def _box(width: float, height: float) -> list[tuple[float, float]]:

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hitl_jax import bipedal
 from hitl_jax.walker import ground, hinges, parts, terrain, touch, world
 from hitl_jax.walker.flat import of_one
 from hitl_jax.walker.hinges import Impulses
@@ -15,11 +16,8 @@ from hitl_jax.walker.world import World
 
 OBSERVATION_SIZE = 24
 ACTION_SIZE = 4
-MOST_STEPS, MOST_HARDCORE_STEPS = 1600, 2000
-"""Of an episode, by gymnasium's registrations of BipedalWalker-v3 and BipedalWalkerHardcore-v3."""
-
-_official = parts.official
-_EFFORT = 0.00035 * _official.MOTORS_TORQUE
+MOST_STEPS, MOST_HARDCORE_STEPS = bipedal.MOST_STEPS, bipedal.MOST_HARDCORE_STEPS
+_EFFORT = 0.00035 * bipedal.MOTORS_TORQUE
 
 
 @jax.tree_util.register_dataclass
@@ -83,7 +81,7 @@ def made(key: jax.Array, hardcore: bool = False) -> Walker:
         The walker; `step` it with an action of zeros.
     """
     ground_key, push_key = jax.random.split(key)
-    most = _official.INITIAL_RANDOM
+    most = bipedal.INITIAL_RANDOM
     push = jax.random.uniform(push_key, (), jnp.float32, -most, most)
     return made_on(terrain.drawn(ground_key, hardcore), push)
 
@@ -103,10 +101,9 @@ def made_on(ground: Terrain, push: jax.Array) -> Walker:
 
 def _bodies(push: jax.Array) -> World:
     """The bodies as gymnasium makes them; its hinges pull them together in the first steps."""
-    x = _official.TERRAIN_STEP * _official.TERRAIN_STARTPAD / 2
-    y = _official.TERRAIN_HEIGHT + 2 * _official.LEG_H
-    thigh = y - _official.LEG_H / 2 - _official.LEG_DOWN
-    shin = y - _official.LEG_H * 3 / 2 - _official.LEG_DOWN
+    x, y = bipedal.START_X, bipedal.START_Y
+    thigh = y - bipedal.LEG_H / 2 - bipedal.LEG_DOWN
+    shin = y - bipedal.LEG_H * 3 / 2 - bipedal.LEG_DOWN
     hull = np.array([x, y]) + parts.HULL_CENTRE
     zero = jnp.zeros(5, jnp.float32)
     hinge = jnp.zeros(4, jnp.float32)
@@ -150,7 +147,7 @@ def observe(now: World, terrain: Terrain) -> tuple[jax.Array, jax.Array]:
     angle, spin = now.angle[0], now.spin[0]
     body = pose(Vec(now.place.x[0], now.place.y[0]), angle)
     origin = body.put(vec(-parts.HULL_CENTRE))
-    fps, scale = _official.FPS, _official.SCALE
+    fps, scale = bipedal.FPS, bipedal.SCALE
     bend, speed = hinges.angles(now.angle), hinges.speeds(now.spin)
     feet = now.feet.astype(jnp.float32)
     legs = [
@@ -158,17 +155,17 @@ def observe(now: World, terrain: Terrain) -> tuple[jax.Array, jax.Array]:
         for leg in range(2)
         for row in (
             bend[2 * leg],
-            speed[2 * leg] / _official.SPEED_HIP,
+            speed[2 * leg] / bipedal.SPEED_HIP,
             bend[2 * leg + 1] + 1.0,
-            speed[2 * leg + 1] / _official.SPEED_KNEE,
+            speed[2 * leg + 1] / bipedal.SPEED_KNEE,
             feet[2 * leg + 1],
         )
     ]
     seen = [
         angle,
         2.0 * spin / fps,
-        0.3 * now.velocity.x[0] * (_official.VIEWPORT_W / scale) / fps,
-        0.3 * now.velocity.y[0] * (_official.VIEWPORT_H / scale) / fps,
+        0.3 * now.velocity.x[0] * (bipedal.VIEWPORT_W / scale) / fps,
+        0.3 * now.velocity.y[0] * (bipedal.VIEWPORT_H / scale) / fps,
         *legs,
     ]
     return jnp.concatenate([jnp.stack(seen), ground.lidar(terrain, origin)]), origin.x
@@ -189,7 +186,7 @@ def step(walker: Walker, action: jax.Array) -> tuple[Walker, Step]:
     """
     action = jnp.asarray(action, jnp.float32)
     after, observation, place = _advance_one(walker.world, action, walker.terrain)
-    shaping = 130 * place / _official.SCALE - 5.0 * jnp.abs(observation[0])
+    shaping = 130 * place / bipedal.SCALE - 5.0 * jnp.abs(observation[0])
     effort = (_EFFORT * jnp.clip(jnp.abs(action), 0, 1)).sum()
     fallen = after.fallen | (place < 0)
     reward = jnp.where(fallen, -100.0, shaping - walker.shaping - effort)

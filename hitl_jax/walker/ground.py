@@ -8,6 +8,7 @@ import math
 import jax
 import jax.numpy as jnp
 
+from hitl_jax import bipedal
 from hitl_jax.walker import parts
 from hitl_jax.walker.boxes import Boxes, Near
 from hitl_jax.walker.plane import Vec, dot, tangent, where
@@ -17,12 +18,7 @@ from hitl_jax.walker.touch import SLOTS, Edges
 _HULL_EDGES = 6
 """More than the hull can meet at once."""
 
-_ANGLES = [1.5 * ray / 10.0 for ray in range(10)]
-_RAYS = [
-    (math.sin(a) * parts.official.LIDAR_RANGE, -math.cos(a) * parts.official.LIDAR_RANGE)
-    for a in _ANGLES
-]
-_WINDOW = math.ceil(_RAYS[-1][0] / parts.TERRAIN_STEP) + 3
+_WINDOW = math.ceil(bipedal.LIDAR_REACH[-1][0] / parts.TERRAIN_STEP) + 3
 """Edges that a ray may meet, with one to spare on either side."""
 
 
@@ -116,7 +112,7 @@ def _shares(edges: Edges, place: Vec) -> jax.Array:
     away = edges.start - place
     above = dot(normal, away)
     shares = []
-    for x, y in _RAYS:
+    for x, y in bipedal.LIDAR_REACH:
         span = math.ceil(x / parts.TERRAIN_STEP) + 3
         ray = Vec(jnp.float32(x), jnp.float32(y))
         share = above[:span] / dot(normal[:span], ray)

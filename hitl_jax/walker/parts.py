@@ -1,4 +1,4 @@
-"""The walker's body and its world, in numbers: gymnasium's own, and Box2D's where it names none.
+"""The walker's body and its world, in numbers: those of `hitl_jax.bipedal`, and Box2D's.
 
 Five bodies: the hull, then the four parts of the legs in gymnasium's order (thigh and shin of one
 leg, thigh and shin of the other). Four hinges in gymnasium's order (hip and knee of one leg, of the
@@ -6,15 +6,11 @@ other). `[5]` and `[4]` below are these.
 """
 
 import math
-import warnings
 from typing import NamedTuple
 
 import numpy as np
 
-with warnings.catch_warnings():
-    # SWIG's types warn as Box2D is first imported; as an error that ends the process.
-    warnings.simplefilter("ignore")
-    from gymnasium.envs.box2d import bipedal_walker as official
+from hitl_jax import bipedal
 
 # Box2D 2.3, b2Settings.h
 LINEAR_SLOP = 0.005
@@ -29,10 +25,8 @@ SKIN = 2 * LINEAR_SLOP
 GRAVITY = -10.0
 """b2World's default [m/s²]."""
 
-SECONDS = 1.0 / official.FPS
-VELOCITY_ROUNDS = 6 * 30
-POSITION_ROUNDS = 2 * 30
-"""The numbers that gymnasium gives to `b2World.Step`."""
+SECONDS = bipedal.SECONDS
+VELOCITY_ROUNDS, POSITION_ROUNDS = bipedal.VELOCITY_ROUNDS, bipedal.POSITION_ROUNDS
 
 
 class Mass(NamedTuple):
@@ -69,17 +63,24 @@ def mass_of(vertices: np.ndarray, density: float) -> Mass:
     return Mass(mass, inertia, (float(centre[0]), float(centre[1])))
 
 
-def _corners(fixture: object) -> np.ndarray:
-    return np.array(fixture.shape.vertices, np.float64)  # type: ignore[attr-defined]
+def _kept(numbers: object) -> np.ndarray:
+    """Numbers as Box2D keeps them, rounded to float32."""
+    return np.array(numbers, np.float32).astype(np.float64)
 
 
-HULL_CORNERS = _corners(official.HULL_FD)
-_THIGH, _SHIN = _corners(official.LEG_FD), _corners(official.LOWER_FD)
+def _box(width: float, height: float) -> np.ndarray:
+    """Corners of a box about its centre, in the order of `b2PolygonShape::SetAsBox`."""
+    x, y = width / 2, height / 2
+    return _kept([(-x, -y), (x, -y), (x, y), (-x, y)])
+
+
+HULL_CORNERS = _kept([(x / bipedal.SCALE, y / bipedal.SCALE) for x, y in bipedal.HULL_POLY])
+_THIGH, _SHIN = (_box(width, bipedal.LEG_H) for width in (bipedal.LEG_W, bipedal.SHIN_W))
 LEG_CORNERS = np.stack([_THIGH, _SHIN, _THIGH, _SHIN])
 """[4, corners, 2]; corner i and the next bound side i."""
 
-_HULL_MASS = mass_of(HULL_CORNERS, official.HULL_FD.density)
-_LEG_MASSES = [mass_of(corners, official.LEG_FD.density) for corners in LEG_CORNERS]
+_HULL_MASS = mass_of(HULL_CORNERS, bipedal.HULL_DENSITY)
+_LEG_MASSES = [mass_of(corners, bipedal.LEG_DENSITY) for corners in LEG_CORNERS]
 HULL_CENTRE = np.array(_HULL_MASS.centre)
 """The hull's centre of mass in the coordinates of its shape [m]; those of the legs are 0."""
 
@@ -88,7 +89,7 @@ INVERSE_MASS = np.array([1 / part.mass for part in (_HULL_MASS, *_LEG_MASSES)])
 INVERSE_INERTIA = np.array([1 / part.inertia for part in (_HULL_MASS, *_LEG_MASSES)])
 """[5] [1/(kg m²)]."""
 
-FRICTION = math.sqrt(official.LEG_FD.friction * official.FRICTION)
+FRICTION = math.sqrt(float(_kept(bipedal.LEG_FRICTION)) * bipedal.GROUND_FRICTION)
 """Between a leg and the ground: b2MixFriction of the two."""
 
 HINGES = ((0, 1), (1, 2), (0, 3), (3, 4))
@@ -97,29 +98,29 @@ HINGE_ORDER = (3, 2, 0, 1)
 """The order in which Box2D solves them: it goes from body to body along the hinges, and begins with
 the body that was made last."""
 
-_HIP = np.array([0.0, official.LEG_DOWN]) - HULL_CENTRE
-_BOTTOM, _TOP = np.array([0.0, -official.LEG_H / 2]), np.array([0.0, official.LEG_H / 2])
+_HIP = np.array([0.0, bipedal.LEG_DOWN]) - HULL_CENTRE
+_BOTTOM, _TOP = np.array([0.0, -bipedal.LEG_H / 2]), np.array([0.0, bipedal.LEG_H / 2])
 ANCHORS = np.array([(_HIP, _TOP), (_BOTTOM, _TOP), (_HIP, _TOP), (_BOTTOM, _TOP)])
 """Of each hinge in its two bodies, from their centres of mass, [4, 2 bodies, 2] [m]."""
 
-# These four are not named in gymnasium's module; `BipedalWalker.reset` has them.
-LOWER = np.array([-0.8, -1.6, -0.8, -1.6])
-UPPER = np.array([1.1, -0.1, 1.1, -0.1])
+LOWER, UPPER = (
+    np.array(limits * 2) for limits in zip(bipedal.HIP_LIMITS, bipedal.KNEE_LIMITS, strict=True)
+)
 """Limits of the hinges' angles [4] [rad]."""
-START_TILTS = np.array([-0.05, -0.05, 0.05, 0.05])
+START_TILTS = np.repeat(bipedal.SIDES, 2) * bipedal.LEG_TILT
 """Angles of the legs' parts as they are made [4] [rad]."""
 _MADE = np.array([0.0, *START_TILTS])
 REFERENCE = np.array([_MADE[b] - _MADE[a] for a, b in HINGES])
 """What counts as angle 0 of each hinge: pybox2d takes the angle at which it is made [4] [rad]."""
-SPEEDS = np.array([official.SPEED_HIP, official.SPEED_KNEE] * 2, np.float64)
+SPEEDS = np.array([bipedal.SPEED_HIP, bipedal.SPEED_KNEE] * 2, np.float64)
 """Of the motors [4] [rad/s]."""
-TORQUE = float(official.MOTORS_TORQUE)
+TORQUE = float(bipedal.MOTORS_TORQUE)
 """The most a motor gives [N m]."""
 
-TERRAIN_STEP = official.TERRAIN_STEP
-TERRAIN_LENGTH = official.TERRAIN_LENGTH
+TERRAIN_STEP = bipedal.TERRAIN_STEP
+TERRAIN_LENGTH = bipedal.TERRAIN_LENGTH
 CORNER_X = (np.arange(TERRAIN_LENGTH) * TERRAIN_STEP).astype(np.float32)
 """Where the corners of the ground are [TERRAIN_LENGTH] [m]."""
 NUM_EDGES = TERRAIN_LENGTH - 1
-GOAL = (official.TERRAIN_LENGTH - official.TERRAIN_GRASS) * official.TERRAIN_STEP
+GOAL = bipedal.GOAL
 """Beyond it the episode ends [m]."""

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hitl_jax import bipedal
 from hitl_jax.walker import parts
 from hitl_jax.walker.boxes import Boxes
 from hitl_jax.walker.flat import of_one
@@ -57,25 +58,23 @@ def grass(key: jax.Array) -> jax.Array:
     Returns:
         Heights [TERRAIN_LENGTH] [m].
     """
-    official = parts.official
     push_key, stretch_key = jax.random.split(key)
     shape = (parts.TERRAIN_LENGTH,)
-    pushes = _uniform(push_key, shape) / np.float32(official.SCALE)
-    stretches = _whole(stretch_key, shape, official.TERRAIN_GRASS // 2, official.TERRAIN_GRASS)
+    pushes = _uniform(push_key, shape) / np.float32(bipedal.SCALE)
+    stretches = _whole(stretch_key, shape, bipedal.TERRAIN_GRASS // 2, bipedal.TERRAIN_GRASS)
     heights: jax.Array = _profile_of_one(pushes, stretches)
     return heights
 
 
 def _profile(pushes: jax.Array, stretches: jax.Array) -> jax.Array:
     """Heights of the corners; arrays are [TERRAIN_LENGTH, B]."""
-    official = parts.official
-    start = official.TERRAIN_HEIGHT
+    start = bipedal.TERRAIN_HEIGHT
 
     def corner(carry: tuple, drawn: tuple) -> tuple:
         height, velocity, left, begins = carry
         index, push, stretch = drawn
         toward = 0.01 * jnp.sign(start - height)
-        faster = 0.8 * velocity + toward + jnp.where(index > official.TERRAIN_STARTPAD, push, 0.0)
+        faster = 0.8 * velocity + toward + jnp.where(index > bipedal.TERRAIN_STARTPAD, push, 0.0)
         velocity = jnp.where(begins, velocity, faster)
         height = jnp.where(begins, height, height + faster)
         begins = left == 1
@@ -83,7 +82,7 @@ def _profile(pushes: jax.Array, stretches: jax.Array) -> jax.Array:
         return (height, velocity, left, begins), height
 
     zero = jnp.zeros_like(pushes[0])
-    left = jnp.full_like(stretches[0], official.TERRAIN_STARTPAD)
+    left = jnp.full_like(stretches[0], bipedal.TERRAIN_STARTPAD)
     carry = zero + jnp.float32(start), zero, left, jnp.zeros_like(zero, bool)
     drawn = jnp.arange(parts.TERRAIN_LENGTH, dtype=jnp.int32), pushes, stretches
     heights: jax.Array = jax.lax.scan(corner, carry, drawn)[1]
@@ -106,10 +105,9 @@ def rough(key: jax.Array) -> Terrain:
     """
     keys = jax.random.split(key, 6)
     shape = (parts.TERRAIN_LENGTH,)
-    official = parts.official
     return planned(
-        _uniform(keys[0], shape) / np.float32(official.SCALE),
-        _whole(keys[1], shape, official.TERRAIN_GRASS // 2, official.TERRAIN_GRASS),
+        _uniform(keys[0], shape) / np.float32(bipedal.SCALE),
+        _whole(keys[1], shape, bipedal.TERRAIN_GRASS // 2, bipedal.TERRAIN_GRASS),
         _whole(keys[2], shape, _STUMP, _PIT + 1),
         _whole(keys[3], shape, 1, 3),
         _whole(keys[4], shape, 3, 5),
@@ -186,7 +184,6 @@ def _plan(*drawn: jax.Array) -> tuple[jax.Array, Boxes]:
 
 def _spots(pushes: jax.Array, *drawn: jax.Array) -> tuple[jax.Array, _Spot]:
     """Heights and what is built, corner after corner; see `_plan`."""
-    official = parts.official
 
     def corner(carry: tuple, given: tuple) -> tuple:
         height, velocity, left, begins, spot = carry
@@ -199,8 +196,8 @@ def _spots(pushes: jax.Array, *drawn: jax.Array) -> tuple[jax.Array, _Spot]:
         left = jnp.where(begins & (spot.kind != _GRASS), length, left)
         spot = dataclasses.replace(spot, made=length - left)
 
-        faster = 0.8 * velocity + 0.01 * jnp.sign(official.TERRAIN_HEIGHT - height)
-        faster += jnp.where(index > official.TERRAIN_STARTPAD, push, 0.0)
+        faster = 0.8 * velocity + 0.01 * jnp.sign(bipedal.TERRAIN_HEIGHT - height)
+        faster += jnp.where(index > bipedal.TERRAIN_STARTPAD, push, 0.0)
         grows = (spot.kind == _GRASS) & ~begins
         velocity = jnp.where(grows, faster, velocity)
         share = (spot.made - spot.up).astype(jnp.float32) / _STAIR_WIDTH
@@ -215,10 +212,10 @@ def _spots(pushes: jax.Array, *drawn: jax.Array) -> tuple[jax.Array, _Spot]:
         following = dataclasses.replace(spot, kind=kind)
         return (height, velocity, left, begins, following), (height, spot)
 
-    level = jnp.full_like(pushes[0], official.TERRAIN_HEIGHT)
+    level = jnp.full_like(pushes[0], bipedal.TERRAIN_HEIGHT)
     none = jnp.zeros(pushes.shape[1:], jnp.int32)
     start = _Spot(none + _GRASS, none, none, level, none + 1)
-    pad = none + official.TERRAIN_STARTPAD
+    pad = none + bipedal.TERRAIN_STARTPAD
     carry = level, jnp.zeros_like(level), pad, jnp.zeros_like(none, bool), start
     index = jnp.arange(parts.TERRAIN_LENGTH, dtype=jnp.int32)
     passed: tuple[jax.Array, _Spot] = jax.lax.scan(corner, carry, (index, pushes, *drawn))[1]

@@ -4,12 +4,12 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax.commands.benchmarks.timing import Row
+from hitl_jax.envs import box2d
 from hitl_jax.walker import Walker, copying, hinges, parts, step
 from hitl_jax.walker.touch import BEHIND_EDGES
 from hitl_jax.walker.world import World
@@ -152,11 +152,16 @@ def _rollouts(
 
 def _made(env_id: str) -> Any:
     """One for each episode: Box2D's order of contacts depends on what its world held before."""
-    return gymnasium.make(env_id, disable_env_checker=True).unwrapped
+    import gymnasium
+
+    with box2d.quiet():
+        return gymnasium.make(env_id, disable_env_checker=True).unwrapped
 
 
 def _player(kind: str, rng: np.random.Generator) -> Any:
-    script = parts.official.BipedalWalkerHeuristics()
+    from gymnasium.envs.box2d.bipedal_walker import BipedalWalkerHeuristics
+
+    script = BipedalWalkerHeuristics()
 
     def act(observation: np.ndarray) -> np.ndarray:
         if kind == "random":

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from threading import Barrier
 
-import gymnasium
 import numpy as np
 
 from hitl_jax.commands.benchmarks.timing import REPEATS, Row
@@ -73,6 +72,8 @@ def plain_rate(processes: int, walkers: int, seconds: float) -> float:
 
 
 def _plain_steps(ready: Barrier, walkers: int, seconds: float) -> float:
+    import gymnasium
+
     envs = [gymnasium.make(WALKER, disable_env_checker=True) for _ in range(walkers)]
     rng = np.random.default_rng(0)
     for seed, env in enumerate(envs):

@@ -1,0 +1,165 @@
+"""A machine without Box2D, as one with Python 3.14 is: processes in whose way a stand-in is put."""
+
+import json
+import os
+import pathlib
+import subprocess
+import sys
+
+import official as theirs
+import pytest
+import small
+
+from hitl_jax.commands import seed_sweep
+from hitl_jax.commands.cli import run_main
+from hitl_jax.results import ResultsFolder
+
+_TESTS = pathlib.Path(__file__).parent
+_KEPT = _TESTS.parent / "results" / "ten_seeds"
+_ENVIRONMENT = os.environ | {
+    "PYTHONPATH": os.pathsep.join([str(_TESTS / "without_box2d"), str(_TESTS.parent)])
+}
+_SWEEP = (
+    *("sweep", "--seeds", "1", "--methods", "srl", "--episodes", "1", "--test-episodes", "1"),
+    *("--warmup-steps", "100", *small.OPTIONS),
+)
+_NOTE = "Box2D cannot be imported (No module named 'Box2D'"
+
+# One process for many command lines: it imports JAX once.
+_COMMANDS = """
+import contextlib, io, json, sys
+from hitl_jax.__main__ import main
+told = []
+for words in json.loads(sys.argv[1]):
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main(words)
+    told.append([code, out.getvalue(), err.getvalue()])
+print(json.dumps(told))
+"""
+
+
+def _run(*command):
+    return subprocess.run(
+        [sys.executable, *command], env=_ENVIRONMENT, capture_output=True, text=True
+    )
+
+
+def _told(lines):
+    """Exit code, stdout and stderr of each command line."""
+    done = _run("-c", _COMMANDS, json.dumps([list(map(str, line)) for line in lines]))
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """A sweep with the default backend: its folder and what it said."""
+    out = tmp_path_factory.mktemp("without") / "results"
+    done = _run("-m", "hitl_jax", *_SWEEP, "--out", out)
+    assert done.returncode == 0, done.stderr
+    return out, done.stdout
+
+
+def _as_if_on(backend, folder, tmp_path):
+    """The runs of a folder, in one that says that it was made on another backend."""
+    document = json.loads((folder / "config.json").read_text())
+    document["config"]["backend"] = backend
+    other = tmp_path / backend
+    other.mkdir()
+    (other / "config.json").write_text(json.dumps(document))
+    (other / "runs").symlink_to(folder / "runs")
+    return other
+
+
+def test_a_sweep_takes_the_walkers_in_jax_and_says_so(swept):
+    out, said = swept
+    first, *others = said.splitlines()
+    assert first.startswith(_NOTE)
+    assert first.endswith("): --backend jax")
+    assert not any("Box2D" in line for line in others)
+    folder = ResultsFolder(out)
+    assert folder.load_config()["backend"] == "jax"
+    (run,) = folder.load_all()
+    assert run.info["config"]["backend"] == "jax"
+    assert (len(run.episodes["return"]), len(run.tests["return"])) == (1, 1)
+
+
+def test_what_was_made_in_jax_is_played_again(swept):
+    out, _ = swept
+    (code, said, err), again = _told([("replay", out, "--method", "srl"), (*_SWEEP, "--out", out)])
+    assert code == 0, err
+    assert "its return is the recorded one" in said
+    assert again[0] == 0, again
+    assert again[1].startswith(_NOTE)
+
+
+def test_a_folder_of_other_walkers_is_not_gone_on_with(swept, tmp_path):
+    """Begun where Box2D is, resumed where it is not; and the other way round."""
+    lean = _as_if_on("lean", swept[0], tmp_path)
+    ((code, out, err),) = _told([(*_SWEEP, "--out", lean)])
+    assert (code, err.count("\n")) == (2, 1)
+    assert out.startswith(_NOTE)
+    assert 'backend: folder has "lean", asked for "jax"' in err
+
+
+@theirs.needs_box2d
+def test_where_box2d_is_a_folder_in_jax_is_not_gone_on_with(swept, capsys):
+    assert run_main("sweep", seed_sweep.main, [*_SWEEP[1:], "--out", str(swept[0])]) == 2
+    assert 'backend: folder has "jax", asked for "lean"' in capsys.readouterr().err
+
+
+def test_what_needs_box2d_says_so_in_one_line(tmp_path):
+    lean, official = (_as_if_on(name, _KEPT, tmp_path) for name in ("lean", "gymnasium"))
+    new = ("--out", tmp_path / "new")
+    lines = {
+        "backend 'lean'": [
+            (*_SWEEP, *new, "--backend", "lean"),
+            ("ablation", "methods", *new),
+            ("tuning", *new),
+            ("faults", *new),
+            ("agreement", "--only", "scripted"),
+        ],
+        "backend 'gymnasium'": [
+            (*_SWEEP, *new, "--backend", "gymnasium"),
+            ("agreement", "--only", "step"),
+        ],
+        "made with --backend lean: backend 'lean'": [
+            ("verify", lean),
+            ("alarms", lean),
+            ("replay", lean, "--method", "srl"),
+        ],
+        "made with --backend gymnasium: backend 'lean'": [("verify", official)],
+        "the live walker": [("live", "--journal", tmp_path / "session.jsonl", "--port", "0")],
+        "--only pool": [("benchmark", "--only", "pool")],
+        "--only loop": [("benchmark", "--only", "learner", "loop")],
+    }
+    every = [(what, line) for what, some in lines.items() for line in some]
+    for (what, line), (code, out, err) in zip(
+        every, _told([line for _, line in every]), strict=True
+    ):
+        assert (code, err.count("\n")) == (2, 1), (line, err)
+        assert err.startswith("error: "), line
+        assert f"{what} needs Box2D (No module named 'Box2D'" in err, line
+        assert err.endswith('): pip install "gymnasium[box2d]"\n'), line
+        assert "Traceback" not in out
+    assert not (tmp_path / "new" / "config.json").exists()
+    assert not (tmp_path / "session.jsonl").exists()
+
+
+def test_pools_say_so_too():
+    code = (
+        "from hitl_jax.envs import HARDCORE_WALKER, WALKER, default_backend, make_pool\n"
+        "assert default_backend() == 'jax'\n"
+        "for backend in ('lean', 'gymnasium'):\n"
+        "    for env_id in (WALKER, HARDCORE_WALKER):\n"
+        "        try:\n"
+        "            make_pool(backend, 1, env_id=env_id)\n"
+        "        except ImportError as error:\n"
+        "            assert f'backend {backend!r} needs Box2D' in str(error), error\n"
+        "        else:\n"
+        "            raise AssertionError(backend)\n"
+        "make_pool('gymnasium', 1, env_id='Pendulum-v1').close()\n"
+    )
+    done = _run("-c", code)
+    assert done.returncode == 0, done.stderr
