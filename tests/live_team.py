@@ -61,7 +61,16 @@ class Served:
     A journal that is there is gone on with: the session is then one that has played it.
     """
 
-    def __init__(self, session, path, asks=False, answer_seconds=0.3, mode="train", port=0):
+    def __init__(
+        self,
+        session,
+        path,
+        asks=False,
+        answer_seconds=0.3,
+        mode="train",
+        port=0,
+        silence_seconds=60.0,  # The machine may be slow.
+    ):
         self.session, self.path = session, path
         self._noted = journal.Journal(path)
         if self._noted.is_new:
@@ -69,7 +78,7 @@ class Served:
         self._socket = socket.create_server(("127.0.0.1", port))
         self.port = self._socket.getsockname()[1]
         self.address = f"http://127.0.0.1:{self.port}/?token={TOKEN}"
-        manners = Manners(mode, "HITL-AC, seed 0", asks, answer_seconds)
+        manners = Manners(mode, "HITL-AC, seed 0", asks, answer_seconds, silence_seconds)
         live = Live(Conductor(session, self._noted, manners), TOKEN)
         self._server = live.server()
         serve = functools.partial(live.serve, self._server, self._socket)

@@ -24,6 +24,8 @@ def _until(page, kind, true=lambda message: True, seconds=20):
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         message = json.loads(page.recv(timeout=seconds))
+        if message["type"] == "frame":
+            _say(page, "seen", frame=message["n"])
         if message["type"] == kind and true(message):
             return message
     raise TimeoutError(kind)

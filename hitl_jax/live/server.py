@@ -86,13 +86,14 @@ def is_own(headers: Headers) -> bool:
     scheme, _, name = origins[0].lower().partition("://")
     if len(origins) > 1 or scheme not in _PORTS:
         return False
-    asks, asked = (_HOST.fullmatch(host) for host in (name, headers["host"]))
-    return bool(asks and asked) and _place(asks, scheme) == _place(asked, scheme)
+    place = _place(name, scheme)
+    return place is not None and place == _place(headers["host"], scheme)
 
 
-def _place(host: re.Match[str], scheme: str) -> tuple[str, int]:
-    name, port = host.groups()
-    return name.lower(), int(port or _PORTS[scheme])
+def _place(host: str, scheme: str) -> tuple[str, int] | None:
+    """Name and port of this machine; None of another."""
+    found = _HOST.fullmatch(host)
+    return found and (found[1].lower(), int(found[2] or _PORTS[scheme]))
 
 
 class Outbox:
@@ -277,9 +278,10 @@ class Live:
                 return
             try:
                 command = commands.parse(message.get("text") or "")
-                if not visitor.controls:
+                if visitor.controls:
+                    self._conductor.say(command)
+                elif command["type"] != "seen":  # Whether those who only watch do is not asked.
                     raise ValueError("somebody else controls this session; you can watch")
-                self._conductor.say(command)
             except ValueError as error:
                 visitor.complain(str(error))
                 if not wrong.allows():
