@@ -61,7 +61,16 @@ class Served:
     A journal that is there is gone on with: the session is then one that has played it.
     """
 
-    def __init__(self, session, path, asks=False, answer_seconds=0.3, mode="train", port=0):
+    def __init__(
+        self,
+        session,
+        path,
+        asks=False,
+        answer_seconds=0.3,
+        mode="train",
+        port=0,
+        silence_seconds=60.0,  # The machine may be slow.
+    ):
         self.session, self.path = session, path
         self._noted = journal.Journal(path)
         if self._noted.is_new:
@@ -69,8 +78,8 @@ class Served:
         self._socket = socket.create_server(("127.0.0.1", port))
         self.port = self._socket.getsockname()[1]
         self.address = f"http://127.0.0.1:{self.port}/?token={TOKEN}"
-        manners = Manners(mode, "HITL-AC, seed 0", asks, answer_seconds)
-        live = Live(Conductor(session, self._noted, manners), TOKEN, self.port)
+        manners = Manners(mode, "HITL-AC, seed 0", asks, answer_seconds, silence_seconds)
+        live = Live(Conductor(session, self._noted, manners), TOKEN)
         self._server = live.server()
         serve = functools.partial(live.serve, self._server, self._socket)
         self._thread = threading.Thread(target=lambda: asyncio.run(serve()))
@@ -97,14 +106,28 @@ class Served:
         except urllib.error.HTTPError as error:
             return error.code, error.read().decode()
 
-    def open(self, token=TOKEN, origin=None):
-        """A page's socket."""
-        address = f"127.0.0.1:{self.port}"
+    def open(self, token=TOKEN, origin="", host=None):
+        """A page's socket; with a host, as through a tunnel from there.
+
+        Args:
+            token: of the address.
+            origin: of the page; by default the host, and None is a program that is no page.
+            host: that the request names.
+        """
+        host = host or f"127.0.0.1:{self.port}"
         return connect(
-            f"ws://{address}/socket?token={token}",
-            origin=origin or f"http://{address}",
+            f"ws://{host}/socket?token={token}",
+            origin=f"http://{host}" if origin == "" else origin,
+            sock=socket.create_connection(("127.0.0.1", self.port)),
             legacy=True,
         )
+
+    def answer(self, *lines):
+        """What the server answers to the lines of a request: its status, and the last line."""
+        with socket.create_connection(("127.0.0.1", self.port), timeout=20) as one:
+            one.sendall("\r\n".join([*lines, "Connection: close", "", ""]).encode("latin-1"))
+            told = b"".join(iter(lambda: one.recv(4096), b"")).decode()
+        return int(told.split()[1]), told.splitlines()[-1]
 
 
 def play(session, until):

@@ -30,6 +30,8 @@ def _act_upon(noted, session, upto, rng, share=0.2):
         }
         if lottery < share:
             noted.said(session, commands.parse(json.dumps(said[int(rng.integers(8))])))
+        elif lottery < share + 0.005:
+            noted.said(session, {"type": "gone", "frame": seen - 1})
         session.tick()
         noted.played(session)
 

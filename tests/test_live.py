@@ -55,8 +55,10 @@ class _Page:
         """The first frame of which something is true."""
         while True:
             message = json.loads(self._socket.recv(timeout=60))
-            if message["type"] == "frame" and true(message):
-                return message
+            if message["type"] == "frame":
+                self.say("seen", frame=message["n"])
+                if true(message):
+                    return message
 
     def stop(self, number):
         self.process.send_signal(number)

@@ -272,8 +272,36 @@ def test_the_page_finds_a_server_that_was_started_again(page, tmp_path):
         _until(page, lambda: len(_said(again, "danger")) == 2)
         _shows(page, "labels", "2")
         assert session.labels[-1].first > held
-        kinds = [said["type"] for said in _said(again, "take", "let_go", "danger")]
-        assert kinds == ["take", "let_go", "danger", "danger"]
+        kinds = [said["type"] for said in _said(again, "take", "gone", "danger")]
+        assert kinds == ["take", "gone", "danger", "danger"]
+
+
+def test_a_page_that_stands_still_lets_go_and_says_why_it_paused(page, tmp_path):
+    session = _session()
+    with Served(session, tmp_path / "journal.jsonl", silence_seconds=2.0) as served:
+        _open(page, served)
+        page.keyboard.press("t")
+        _shows(page, "control", "person")
+        page.keyboard.down("d")
+        page.evaluate("const end = performance.now() + 4000; while (performance.now() < end);")
+        expect(page.locator("#why-paused")).to_contain_text("did not answer for 2 s")
+        expect(page.locator("#why-paused")).to_contain_text("Nobody judged frames")
+        _shows(page, "running", "paused")
+        _shows(page, "control", "machine")
+        _shows(page, "judgement", "safe")
+        # The key is still down, but counts no more.
+        expect(page.locator("#danger")).not_to_have_class(re.compile("held"))
+        assert not session.dangerous
+        [gone] = _said(served, "gone")
+        stopped = session.frame.number
+        assert gone["frame"] < stopped
+        page.keyboard.up("d")
+        page.keyboard.press("Space")
+        expect(page.locator("#why-paused")).to_be_hidden()
+        _comes_to(page, stopped + 5)
+        page.keyboard.press("d")
+        _shows(page, "labels", "2")
+        assert [said["down"] for said in _said(served, "danger")][-2:] == [True, False]
 
 
 def _asked(page, session):
@@ -311,7 +339,8 @@ def test_the_walker_asks_and_is_answered_or_goes_on(page, tmp_path):
     with Served(session, path, mode="test", asks=True, port=served.port) as again:
         page.wait_for_selector('[data-connection="connected"]')
         _until(page, lambda: _said(again, "no_answer"))
-        assert len(session.labels) == 3  # Nobody's word is no label.
+        # Nobody's word is no label of theirs.
+        assert len([label for label in session.labels if label.kind != "nobody"]) == 3
         _comes_to(page, _said(again, "no_answer")[0]["frame"])
 
 

@@ -230,7 +230,7 @@ def _serve(
     title = f"{options.method.upper()}, seed {options.seed}"
     asks = options.ask or options.mode == "test"
     manners = Manners(options.mode, title, asks, options.answer_seconds)
-    page = Live(Conductor(session, noted, manners), token, port)
+    page = Live(Conductor(session, noted, manners), token)
     address = f"http://{_HOST}:{port}/?token={token}"
     print(f"The page: {address}\nThe journal: {options.journal}")
     print("Ctrl-C ends; the same command goes on.", flush=True)

@@ -25,7 +25,7 @@ from hitl_jax.fit_human import FittedHuman, fit_human
 from hitl_jax.human import HumanParams
 from hitl_jax.indicator import hull_angle, weighted
 from hitl_jax.live import journal
-from hitl_jax.live.labels import judged
+from hitl_jax.live.labels import judged, unjudged
 from hitl_jax.live.session import Session
 from hitl_jax.runs import LoopConfig
 
@@ -46,19 +46,24 @@ class RecordedOptions:
 
 
 class Steps(NamedTuple):
-    """A session, step by step.
+    """The steps of a session that a person judged.
 
     Attributes:
         observation: s_t, [T, O].
-        begins: whether an episode begins here, bool [T].
+        begins: whether an episode, or the rest of it after steps that nobody judged, begins here,
+            bool [T].
         alarmed: C, bool [T].
         dangerous: h_t = 0 as it stands at the end, bool [T].
+        episodes: how many there were.
+        unjudged: how many steps nobody judged.
     """
 
     observation: np.ndarray
     begins: np.ndarray
     alarmed: np.ndarray
     dangerous: np.ndarray
+    episodes: int
+    unjudged: int
 
 
 def main(options: RecordedOptions) -> int:
@@ -87,7 +92,7 @@ def main(options: RecordedOptions) -> int:
     keep_programs()
     steps = _steps(Session(setup), lines, path)
     if not len(steps.dangerous):
-        raise ResultsError(f"{path}: no step was played")
+        raise ResultsError(f"{path}: no step was played that a person judged")
     out = path.with_name(f"{path.name}.human.npz")
     judgements.write(out, steps.dangerous)
     print("\n".join(_said(steps)))
@@ -126,21 +131,32 @@ def _steps(session: Session, lines: list[journal.Line], path: pathlib.Path) -> S
 
     for _ in journal.play(session, lines, path, before_step=note):
         pass
-    live_steps = np.array(live, bool)
     dangerous = judged(session.labels, 0, len(live))
-    columns = (np.array(seen), np.array(begins, bool), np.array(alarmed, bool), dangerous)
-    return Steps(*(column[live_steps] for column in columns))
+    nobodys = unjudged(session.labels, 0, len(live))
+    after = np.concatenate([[False], nobodys])[:-1]
+    live_steps = np.array(live, bool)
+    kept = live_steps & ~nobodys
+    return Steps(
+        observation=np.array(seen)[kept],
+        begins=(np.array(begins, bool) | after)[kept],
+        alarmed=np.array(alarmed, bool)[kept],
+        dangerous=dangerous[kept],
+        episodes=sum(begins),
+        unjudged=int((live_steps & nobodys).sum()),
+    )
 
 
 def _said(steps: Steps) -> list[str]:
     """What is told of a person."""
     dangerous, alarmed = steps.dangerous, steps.alarmed
     lines = [
-        f"{len(dangerous):,} steps of {int(steps.begins.sum())} episodes; "
+        f"{len(dangerous):,} steps of {steps.episodes} episodes; "
         f"judged dangerous: {int(dangerous.sum()):,} steps ({dangerous.mean():.1%})",
         f"steps with an alarm: {int(alarmed.sum()):,}, of which the person agreed with "
         f"{int((alarmed & dangerous).sum()):,}",
     ]
+    if steps.unjudged:
+        lines.append(f"steps that nobody was there to judge, left out: {steps.unjudged:,}")
     if not dangerous.any():
         return [*lines, "Nothing was judged dangerous: there is nothing to compare."]
     lines += [

@@ -8,7 +8,7 @@ import numpy as np
 from hitl_jax import arbiter
 from hitl_jax.agent import Agent
 from hitl_jax.config import RunHyper
-from hitl_jax.live.labels import Label, judged, moved
+from hitl_jax.live.labels import Label, judged, moved, unjudged
 from hitl_jax.live.plant import Answer
 
 _NOBODY = -1
@@ -88,6 +88,10 @@ class Books:
         """Says by which label a person had control at a frame."""
         self._label[number % self.size] = label
 
+    def disown(self, first: int, stop: int) -> None:
+        """Says that no person had control at frames [first, stop)."""
+        self._label[self.places(first, stop)] = _NOBODY
+
     def settle(self, labels: Sequence[Label], first: int, stop: int) -> None:
         """Rewards and ends of frames [first, stop) as they are stored.
 
@@ -136,7 +140,9 @@ class Books:
         dangerous = judged(labels, first, stop) & live
         self._flags["dangerous"][places] = dangerous
         columns = np.zeros((3, max(_SHORTEST, 1 << (len(places) - 1).bit_length())), bool)
-        columns[:, : len(places)] = self._flags["alarmed"][places], dangerous, live
+        # An alarm that nobody judged is neither a true one nor a false one.
+        alarmed = self._flags["alarmed"][places] & ~unjudged(labels, first, stop)
+        columns[:, : len(places)] = alarmed, dangerous, live
         # A frame without a step has no boundary of its own, nor moves it.
         start = self._frames[places[live.argmax()], layout.boundary]
         told = [np.asarray(column) for column in _moved(self._hyper, start, *columns)]

@@ -24,9 +24,11 @@ _FIELDS: dict[str, dict[str, type]] = {
     "pause": {"on": bool},
     "step": {},
     "speed": {"factor": float},
+    "seen": {"frame": int},
 }
-JUDGING = ("danger", "safe", "take", "let_go", "hands", "assist", "undo")
-"""What changes the session; the others change how fast it is shown."""
+JUDGING = ("danger", "safe", "take", "let_go", "hands", "assist", "undo", "gone")
+"""What changes the session; the others change how fast it is shown. `gone` no page says: it stands
+in a journal where the page of a person, who saw `frame` last, answered no more."""
 
 
 def parse(text: str | bytes) -> Command:
@@ -85,7 +87,7 @@ def apply(session: Session, said: Mapping[str, Any]) -> dict[str, Any]:
     kind = said["type"]
     if kind == "danger":
         session.danger(said["down"], said["frame"])
-    elif kind in ("safe", "take", "let_go"):
+    elif kind in ("safe", "take", "let_go", "gone"):
         getattr(session, kind)(said["frame"])
     elif kind == "hands":
         session.move(said["action"])

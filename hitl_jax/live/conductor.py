@@ -12,6 +12,7 @@ from hitl_jax.envs import WalkerError
 from hitl_jax.files import ResultsError
 from hitl_jax.indicator import INDICATORS
 from hitl_jax.live import commands
+from hitl_jax.live.attention import Attention
 from hitl_jax.live.journal import Journal
 from hitl_jax.live.plant import FEET, LIDAR, shapes
 from hitl_jax.live.session import Session
@@ -22,6 +23,7 @@ RATE = 50.0
 _SLICE = 0.015
 """For how long a session that is to be quick plays before others have their turn [s]."""
 _STATUS_EVERY = 0.25
+_LOOK_EVERY = 0.05
 _clock = time.monotonic
 _UNITS = {"hull_angle": "rad", "hull_angular_velocity": "1", "weighted": "rad"}
 
@@ -36,12 +38,15 @@ class Manners(NamedTuple):
         title: for people.
         asks: whether the walker stops and asks where an alarm begins.
         answer_seconds: how long it waits for an answer; then it goes on, which counts as safe.
+        silence_seconds: for how long the page of a person may leave frames unanswered; then nobody
+            is there.
     """
 
     mode: str
     title: str
     asks: bool
     answer_seconds: float
+    silence_seconds: float = 1.0
 
 
 class Conductor:
@@ -58,7 +63,9 @@ class Conductor:
         self._session, self._journal, self._manners = session, journal, manners
         self._listeners: list[Callable[[Message], None]] = []
         self._paused = False
+        self._why_paused: str | None = None
         self._away = True
+        self._attention = Attention(manners.silence_seconds)
         self._steps_due = 0
         self._speed: float | None = 1.0
         self._asked: int | None = None
@@ -86,21 +93,51 @@ class Conductor:
 
     def leave(self) -> None:
         """The person has gone: nothing is played until somebody comes."""
+        self._let_go()
         self._away = True
-        session = self._session
-        self._alarm_since = None  # Or how long nobody was there would count as a reaction.
-        if session.setup.with_person:
-            self.say({"type": "let_go", "frame": session.frame.number})
-            self.say({"type": "hands", "action": [0.0] * 4})
-            self.say({"type": "assist", "on": False})
         self._tell(self._status())
 
     def come(self) -> None:
-        """A person is there: it goes on as it was."""
-        self._away = False
+        """A person's page is there: once it has shown a frame, it goes on as it was."""
+        self._attention.begin(self._session.frame.number)
+        if self._session.setup.with_person:
+            self._tell(self._status())
+        else:
+            self._hear(None)  # Nobody needs to see what a simulated human judges.
+        self._show()
+
+    def _hear(self, frame: int | None) -> None:
+        """The page of the person says something: they are there."""
+        self._attention.hear(frame)
+        if self._away:
+            self._away = False
+            self._recent.clear()
+            self._woken.set()
+            self._tell(self._status())
+
+    def _let_go(self) -> None:
+        """Ends what the person held with the frame that they saw last."""
+        session, attention = self._session, self._attention
+        self._alarm_since = None  # Or how long nobody was there would count as a reaction.
+        if session.setup.with_person and not self._away:
+            self._note({"type": "gone", "frame": attention.seen})
+            attention.settle(session.frame.number)
+
+    def _lose(self) -> None:
+        """The page of the person answers no more."""
+        first, last = self._attention.seen + 1, self._session.frame.number - 1
+        self._let_go()
+        self._paused, self._steps_due = True, 0
+        said = (
+            f"Paused: the page in control did not answer for {self._manners.silence_seconds:g} s "
+            "(hidden, asleep or cut off). What was held was let go."
+        )
+        if first <= last:
+            said += f" Nobody judged frames {first} to {last}."
+        self._why_paused = self._why_paused or said
         self._recent.clear()
-        self._woken.set()
         self._tell(self._status())
+        self._show()
 
     # What the person says.
 
@@ -111,11 +148,17 @@ class Conductor:
             ValueError: one line, where it cannot be done.
         """
         kind = command["type"]
+        if kind == "seen":
+            self._attention.answer(command["frame"])
+            self._hear(command["frame"])
+            return
         self._note(command)
+        self._hear(command.get("frame"))
         if kind in ("pause", "speed"):
             self._recent.clear()  # Or the rate would mix paces.
         if kind == "pause":
             self._paused = command["on"]
+            self._why_paused = self._why_paused if self._paused else None
             self._alarm_since = None
         elif kind == "step":
             self._steps_due += self._paused
@@ -127,7 +170,7 @@ class Conductor:
         self._woken.set()
         self._tell(self._status())
         if self._waits():
-            self._tell(self._frame())
+            self._show()
 
     def _note(self, command: commands.Command) -> None:
         """Has it done and noted. What cannot be noted ends the session, whoever said it."""
@@ -151,11 +194,24 @@ class Conductor:
             ResultsError: if the journal cannot be written.
             WalkerError: if the learner diverged.
         """
+        watching = asyncio.create_task(self._watch())
         try:
             await self._run()
         except (ResultsError, WalkerError) as error:
             self._tell({"type": "error", "message": f"The session has ended. {error}"})
             raise
+        finally:
+            watching.cancel()
+
+    async def _watch(self) -> None:
+        """Looks whether the person is still there, where a person is needed."""
+        then = _clock()
+        while self._session.setup.with_person:
+            await asyncio.sleep(_LOOK_EVERY)
+            now = _clock()
+            if not self._away and self._attention.is_lost(now - then):
+                self._lose()
+            then = now
 
     async def _run(self) -> None:
         due = told = _clock()
@@ -202,7 +258,7 @@ class Conductor:
             self._step()
             if self._waits() or until is None or _clock() >= until:
                 break
-        self._tell(self._frame())
+        self._show()
 
     def _step(self) -> None:
         session = self._session
@@ -228,6 +284,11 @@ class Conductor:
     def _tell(self, message: Message) -> None:
         for listener in list(self._listeners):
             listener(message)
+
+    def _show(self) -> None:
+        """Tells the frame that comes next; the page of the person is to answer it."""
+        self._attention.show(self._session.frame.number)
+        self._tell(self._frame())
 
     def _hello(self) -> Message:
         setup, manners = self._session.setup, self._manners
@@ -283,13 +344,15 @@ class Conductor:
         session, recent, reactions = self._session, self._recent, self._reactions
         moving = len(recent) > 1 and not self._waits()
         asking = None if self._asked is None else {"frame": self._asked, "left": self._left}
+        said = [label for label in session.labels if label.cause is None and label.kind != "nobody"]
         return {
             "type": "status",
             "paused": self._paused or self._away,
+            "why_paused": self._why_paused,
             "speed": self._speed,
             "asking": asking,
             "watchers": max(len(self._listeners) - 1, 0),
-            "labels": sum(label.cause is None for label in session.labels),
+            "labels": len(said),
             "reaction_ms": round(reactions[-1]) if reactions else None,
             "median_reaction_ms": round(statistics.median(reactions)) if reactions else None,
             "rate": round((len(recent) - 1) / (recent[-1] - recent[0]), 1) if moving else 0.0,

@@ -23,8 +23,8 @@ class Label:
 
     Attributes:
         number: counts the labels of a session.
-        kind: `danger`, held or tapped; `safe`; or `take`, control that the person took, or that the
-            arbiter gave.
+        kind: `danger`, held or tapped; `safe`; `take`, control that the person took, or that the
+            arbiter gave; or `nobody`: no person was there to judge these frames.
         first: its first frame.
         last: its last frame; None while it goes on.
         cause: the number of the judgement for which the arbiter gave control, with which it is
@@ -43,12 +43,24 @@ def judged(labels: Sequence[Label], first: int, stop: int) -> np.ndarray:
 
     Of what was said about one frame, the last word counts.
     """
-    dangerous = np.zeros(max(stop - first, 0), bool)
+    return _last_word(labels, first, stop, ("danger", "take"))
+
+
+def unjudged(labels: Sequence[Label], first: int, stop: int) -> np.ndarray:
+    """Whether nobody was there to judge each frame of [first, stop), bool [stop - first]."""
+    return _last_word(labels, first, stop, ("nobody",))
+
+
+def _last_word(
+    labels: Sequence[Label], first: int, stop: int, kinds: tuple[str, ...]
+) -> np.ndarray:
+    """Whether what was said last about each frame of [first, stop) is of these kinds."""
+    found = np.zeros(max(stop - first, 0), bool)
     for label in labels:
         if label.last is None or label.last >= first:
             end = stop if label.last is None else label.last + 1
-            dangerous[max(label.first - first, 0) : max(end - first, 0)] = label.kind != "safe"
-    return dangerous
+            found[max(label.first - first, 0) : max(end - first, 0)] = label.kind in kinds
+    return found
 
 
 def moved(

@@ -4,17 +4,19 @@ import asyncio
 import contextlib
 import json
 import pathlib
+import re
 import secrets
 import socket
 import time
 
 import uvicorn
 from starlette.applications import Starlette
+from starlette.datastructures import Headers
 from starlette.middleware import Middleware
-from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from hitl_jax.live import commands
@@ -30,7 +32,15 @@ _PATIENCE = 20
 """How many of them may mean nothing."""
 
 _PAGE = pathlib.Path(__file__).parent / "page"
-_HOSTS = ("127.0.0.1", "localhost")
+_BYTE = r"(?:25[0-5]|2[0-4]\d|1\d\d|[1-9]?\d)"
+_HOST = re.compile(
+    rf"(localhost|127(?:\.{_BYTE}){{3}}|\[::1\])(?::(\d{{1,5}}))?", re.ASCII | re.IGNORECASE
+)
+"""Names of this machine, which nobody else can own, and a port."""
+
+_PORTS = {"http": 80, "https": 443}
+"""That an address leaves out."""
+
 _REFUSED, _TOO_MANY, _SLOW, _FOREIGN = 4403, 4429, 4408, 4400
 _WAITING = 500
 _GRACE = 5.0
@@ -41,6 +51,49 @@ _HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
+
+
+class _OwnNames:
+    """Refuses requests for other names than this machine's own.
+
+    Or a site whose name leads here (DNS rebinding) could read the page.
+    """
+
+    def __init__(self, app: ASGIApp):
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        app = self._app
+        hosts = Headers(scope=scope).getlist("host")
+        if len(hosts) != 1 or not _HOST.fullmatch(hosts[0]):
+            said = "The request's Host must be localhost, 127.x.y.z or [::1], with or without port."
+            app = PlainTextResponse(said, 400, headers=_HEADERS)
+        await app(scope, receive, send)
+
+
+def is_own(headers: Headers) -> bool:
+    """Whether a request comes from this server's page, or from no page at all.
+
+    A browser tells the origin of the page that asks. It must have the host and the port that the
+    request names, which differ from the server's where a tunnel leads to it.
+
+    Args:
+        headers: of a request for a name of this machine.
+    """
+    origins = headers.getlist("origin")
+    if not origins:
+        return True
+    scheme, _, name = origins[0].lower().partition("://")
+    if len(origins) > 1 or scheme not in _PORTS:
+        return False
+    place = _place(name, scheme)
+    return place is not None and place == _place(headers["host"], scheme)
+
+
+def _place(host: str, scheme: str) -> tuple[str, int] | None:
+    """Name and port of this machine; None of another."""
+    found = _HOST.fullmatch(host)
+    return found and (found[1].lower(), int(found[2] or _PORTS[scheme]))
 
 
 class Outbox:
@@ -112,16 +165,14 @@ class _Visitor:
 class Live:
     """The server of one session."""
 
-    def __init__(self, conductor: Conductor, token: str, port: int):
+    def __init__(self, conductor: Conductor, token: str):
         """Keeps what it serves.
 
         Args:
             conductor: of the session.
             token: that the address must carry.
-            port: it listens on, on this machine alone.
         """
         self._conductor, self._token = conductor, token
-        self._origins = {f"http://{host}:{port}" for host in _HOSTS}
         self._visitors: list[_Visitor] = []
         self._grace: asyncio.TimerHandle | None = None
 
@@ -161,7 +212,7 @@ class Live:
                 Route("/favicon.ico", _nothing),
                 WebSocketRoute("/socket", self._visit),
             ],
-            middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=list(_HOSTS))],
+            middleware=[Middleware(_OwnNames)],
         )
 
     def _knows(self, token: str | None) -> bool:
@@ -178,9 +229,8 @@ class Live:
 
     async def _visit(self, page: WebSocket) -> None:
         """A page's socket, from when it comes to when it goes."""
-        origin = page.headers.get("origin")
         await page.accept()
-        if origin is not None and origin not in self._origins:
+        if not is_own(page.headers):
             await page.close(_FOREIGN, "another site's page may not speak to this session")
             return
         if not self._knows(page.query_params.get("token")):
@@ -228,9 +278,10 @@ class Live:
                 return
             try:
                 command = commands.parse(message.get("text") or "")
-                if not visitor.controls:
+                if visitor.controls:
+                    self._conductor.say(command)
+                elif command["type"] != "seen":  # Whether those who only watch do is not asked.
                     raise ValueError("somebody else controls this session; you can watch")
-                self._conductor.say(command)
             except ValueError as error:
                 visitor.complain(str(error))
                 if not wrong.allows():

@@ -187,13 +187,29 @@ class Session:
         """Whether the assistant walks while the person has the controls."""
         self._assisted = on
 
+    def gone(self, number: int) -> None:
+        """The person has gone, and saw this frame last: nobody judged the later ones.
+
+        What was held ends with that frame. Control of later frames was nobody's: it stays as it was
+        played, and costs nothing.
+        """
+        self._require_person()
+        stop = min(number + 1, self._tick)
+        self._heard = self._assisted = False
+        self._action = np.zeros_like(self._action)
+        self._end("take", stop)
+        self._end("danger", stop)
+        if stop < self._tick:
+            self._books.disown(stop, self._tick)
+            self._say("nobody", stop, self._tick - 1)
+
     def undo(self) -> Label | None:
         """Takes the last label back, with what it moved and what it cost; None if there is none."""
-        if not self.labels:
+        label = next((said for said in reversed(self.labels) if said.kind != "nobody"), None)
+        if label is None:
             return None
-        label = self.labels.pop()
         taken = [label, *(said for said in self.labels if said.number == label.cause)]
-        self.labels = [said for said in self.labels if said.number != label.cause]
+        self.labels = [said for said in self.labels if said not in taken]
         self._heard = False
         if self._controls == label.number:
             self._controls = None
@@ -290,7 +306,8 @@ class Session:
         """
         label = self._controls
         if label is None:
-            label = next(said.number for said in reversed(self.labels) if said.kind != "safe")
+            judging = (said for said in reversed(self.labels) if said.kind in ("danger", "take"))
+            label = next(judging).number
             if human_action or not judged(self.labels, number, number + 1)[0]:
                 label = self._say("take", number, None if human_action else number, cause=label)
             self._controls = label if human_action else None
@@ -348,9 +365,12 @@ class Session:
 
     # Labels.
 
-    def _require(self, number: int) -> None:
+    def _require_person(self) -> None:
         if not self.setup.with_person:
             raise ValueError("a judgement: nobody is asked in this session")
+
+    def _require(self, number: int) -> None:
+        self._require_person()
         oldest = max(self._tick - self._books.size + 1, 0)
         if not oldest <= number <= self._tick:
             raise ValueError(f"frame {number}: must be from {oldest} to {self._tick}")

@@ -87,8 +87,10 @@ def _by_socket(address: str, seconds: float) -> Row:
         def until(true: Any) -> dict[str, Any]:
             while True:
                 message: dict[str, Any] = json.loads(page.recv(timeout=60))
-                if message["type"] == "frame" and true(message):
-                    return message
+                if message["type"] == "frame":
+                    page.send(json.dumps({"type": "seen", "frame": message["n"]}))
+                    if true(message):
+                        return message
 
         number = until(lambda frame: frame["n"] > 100)["n"]
         times = []

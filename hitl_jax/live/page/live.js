@@ -14,7 +14,7 @@ const element = (id) => document.getElementById(id);
 const root = document.documentElement;
 const state = {
   hello: null, role: "watcher", connected: false, frame: null, drawn: null, taken: false, toldUntil: 0,
-  status: { paused: false, speed: 1, asking: null, danger_held: false },
+  status: { paused: false, why_paused: null, speed: 1, asking: null, danger_held: false },
   wanted: {}, episodes: [], deadline: 0, muted: false, reason: "",
 };
 
@@ -74,6 +74,8 @@ function draw() {
 function drawFrame(frame, hello) {
   scene.draw(frame, hello);
   gauge.draw(frame, hello);
+  // The server waits for this: a page that shows nothing has nobody before it.
+  if (frame !== state.drawn) send({ type: "seen", frame: frame.n });
   state.drawn = frame;
   root.dataset.frame = frame.n;
   writeState("control", frame.control, WHO[frame.control]);
@@ -144,6 +146,7 @@ const listeners = {
     state.status = status;
     if (status.paused !== before.paused) announce(status.paused ? "Paused." : "Running.");
     showStatus(status);
+    if (status.why_paused !== before.why_paused) showWhyPaused(status.why_paused);
     showRequest(status.asking, before.asking);
     allow();
   },
@@ -186,6 +189,13 @@ function showStatus(status) {
   const [reaction, median] = [status.reaction_ms, status.median_reaction_ms];
   write("reaction", reaction === null ? "none yet" : `${milliseconds(reaction)}, ${milliseconds(median)}`);
   element("danger").setAttribute("aria-pressed", status.danger_held);
+}
+
+/** Shows why it was paused, if not by the person; what they still hold is held no more. */
+function showWhyPaused(why) {
+  element("why-paused").hidden = !why;
+  write("why-paused", why ?? "");
+  if (why) controls.forEach((control) => control.endAll());
 }
 
 /** Shows that the walker asks, and says so once for each request. */
