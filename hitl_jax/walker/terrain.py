@@ -9,7 +9,7 @@ import numpy as np
 from hitl_jax.walker import parts
 from hitl_jax.walker.boxes import Boxes
 from hitl_jax.walker.flat import of_one
-from hitl_jax.walker.kernel import as_kernel
+from hitl_jax.walker.gpu.kernel import as_kernel
 from hitl_jax.walker.plane import Vec
 
 _STEP = np.float32(parts.TERRAIN_STEP)
