@@ -18,6 +18,7 @@ from hitl_jax.envs import StepBatch
 from hitl_jax.envs.jax_pool import Block, JaxPool
 from hitl_jax.stages import Slots, Tick
 from hitl_jax.types import Behavior
+from hitl_jax.walker import gpu
 
 
 @dataclasses.dataclass
@@ -37,14 +38,13 @@ class DeviceStage:
 
     The pool itself is not told what its walkers do here: it may but RESET them, and go on from
     there. The program ends episodes, begins the next ones and stops runs that are done or not
-    finite, by the same rules as the host loop, which books the chunk afterwards, while the next one
-    is played already.
+    finite, by the same rules as the host loop, which books the chunk afterwards. On CPUs the next
+    one is played while it does; that has not run on a GPU, see `hitl_jax.walker.gpu`.
     """
-
-    runs_ahead = True
 
     def __init__(self, agent: Agent, pool: JaxPool, programs: Programs):
         """Places acting beside the walkers; without runs yet."""
+        self.runs_ahead = gpu.uses_four_threads() or not gpu.on_gpu()
         self._pool = pool
         self._programs = programs
         self._acting = [

@@ -12,7 +12,6 @@ from hitl_jax.envs import num_cores
 
 _ACTING = "acting"
 _LEARNER_NICE = 10
-_ACCELERATOR_TILE = 128
 
 
 @functools.cache
@@ -43,15 +42,17 @@ def walker_devices(count: int) -> tuple[jax.Device, ...]:
     return tuple(cpu_device(f"walkers {number}") for number in range(count))
 
 
-def default_tile() -> int:
+def default_tile(slots: int) -> int:
     """Runs learned together on one device.
 
     On a CPU one: XLA's sums are faster without an axis of runs, and the megabyte of one run's
     parameters, targets and moments stays nearer to the core than that of several. On an accelerator
-    as many as it takes to be busy, whatever their number: then the program, and its rounding, do
-    not tell how many there are, and runs that have ended take no time.
+    all that it has.
+
+    Args:
+        slots: of all devices together.
     """
-    return 1 if jax.default_backend() == "cpu" else _ACCELERATOR_TILE
+    return 1 if jax.default_backend() == "cpu" else slots // len(learning_devices())
 
 
 def acting_device() -> jax.Device:

@@ -39,7 +39,7 @@ class LearnerSide:
         """
         devices = learning_devices()
         self.num_updates = config.num_updates(agent.config.task_learner.policy_delay)
-        self.programs = batch.make_programs(agent, self.num_updates, default_tile())
+        self.programs = batch.make_programs(agent, self.num_updates, default_tile(slots))
         self._layout, self._frames = agent.layout, config.frames
         self._share = slots // len(devices)
         empty = [batch.empty_seats(agent, self._share, config.frames, each) for each in devices]

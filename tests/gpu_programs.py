@@ -2,15 +2,17 @@
 
 Run as a program, since JAX must be told before it is imported:
 
-    JAX_PLATFORMS=cpu JAX_SKIP_CUDA_CONSTRAINTS_CHECK=1 python tests/gpu_programs.py
+    JAX_PLATFORMS=cpu JAX_SKIP_CUDA_CONSTRAINTS_CHECK=1 python tests/gpu_programs.py one_thread
 
-It prints, for each program, kernels a tick, and how often a tick waits for the host to look at a
+With `four_threads` it compiles the other version; see `hitl_jax.walker.gpu`. It prints, for each
+program, kernels a tick, and how often a tick waits for the host to look at a
 condition. Kernels are counted in XLA's optimised program: what fuses, copies or is called.
 """
 
 import functools
 import json
 import re
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +23,7 @@ from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig
 from hitl_jax.device_chunk import Moment
 from hitl_jax.envs import jax_pool
-from hitl_jax.walker import kernel
+from hitl_jax.walker import gpu
 
 _RUNS, _LANES, _TICKS = 1002, 1008, 16
 _H100 = """
@@ -51,10 +53,10 @@ def main() -> None:
     [device] = topologies.get_topology_desc(
         "", "cuda", topology="1x1x1", target_config=_H100
     ).devices
-    kernel._device = lambda: device  # What is traced for this device is asked here.
-    told = {
-        name: _counts(text, in_loop=name == "a chunk") for name, text in _programs(device).items()
-    }
+    gpu.default_device = lambda: device  # What is traced for this device is asked here.
+    with gpu.use(sys.argv[1]):
+        programs = _programs(device)
+    told = {name: _counts(text, in_loop=name == "a chunk") for name, text in programs.items()}
     print(json.dumps(told))
 
 

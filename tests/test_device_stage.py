@@ -13,6 +13,7 @@ from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs import jax_pool
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import LoopConfig, RunSpec
+from hitl_jax.walker import gpu
 
 _CONFIG = AgentConfig(learner="td3", hidden_sizes=(16,), batch_size=16)
 _HYPER = Hyper(warmup_steps=24, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
@@ -133,6 +134,26 @@ def test_slots_of_runs_that_were_held_are_given_on(together):
                 playing.release(held)
                 held = []
     assert len(finished) == len(together)
+    for key, run in together.items():
+        _assert_same(run, finished[key])
+
+
+@pytest.mark.parametrize(
+    ("version", "on_gpu", "ahead"),
+    [
+        ("one_thread", False, True),
+        ("four_threads", False, True),
+        ("one_thread", True, False),
+        ("four_threads", True, True),
+    ],
+)
+def test_a_gpu_waits_for_the_books_unless_it_is_asked_not_to(
+    together, monkeypatch, version, on_gpu, ahead
+):
+    monkeypatch.setattr(gpu, "on_gpu", lambda: on_gpu)
+    with gpu.use(version):
+        finished, playing = _play(_specs(), 4)
+    assert playing._stage.runs_ahead is ahead
     for key, run in together.items():
         _assert_same(run, finished[key])
 

@@ -12,25 +12,41 @@ import pytest
 
 from hitl_jax.envs import Command, make_pool
 from hitl_jax.walker import (
-    by_parts,
+    gpu,
     grips,
     ground,
     hinges,
     impact,
-    kernel,
     parts,
     terrain,
     touch,
     world,
 )
 from hitl_jax.walker.boxes import Boxes, Near
+from hitl_jax.walker.gpu import kernel, sincos
+from hitl_jax.walker.gpu.four_threads import sincos as other_sincos
+from hitl_jax.walker.gpu.four_threads import solver as four_threads
+from hitl_jax.walker.gpu.four_threads.thread import NeighbourThread
+from hitl_jax.walker.gpu.jaxpr_to_ptx import Thread
 from hitl_jax.walker.plane import Speeds, Vec, pose
 from hitl_jax.walker.rarely import where_needed
 from hitl_jax.walker.sweep import Sweep
 from hitl_jax.walker.terrain import Terrain
-from hitl_jax.walker.waves import cosine, sine
 
 _WALKERS = 3
+
+
+@pytest.fixture(params=gpu.VERSIONS)
+def version(request):
+    with gpu.use(request.param):
+        yield request.param
+
+
+@pytest.fixture
+def neighbours():
+    """Threads of a walker tell each other."""
+    with gpu.use("four_threads"):
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +74,13 @@ def _prepared(before, heights):
     return near, manifold, contacts, hinge, grips.prepare(manifold, legs)
 
 
+def _written(function, parts, args):
+    """The text of a kernel for a GPU, of the version in use."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gpu, "on_gpu", lambda: True)
+        return kernel.written(function, parts, args)
+
+
 def _emulated(function, parts=(), block_size=None):
     """A function as a kernel, as it is for a GPU, on the slow machine."""
 
@@ -66,11 +89,8 @@ def _emulated(function, parts=(), block_size=None):
         args = jax.tree.map(
             lambda leaf: np.broadcast_to(leaf, (*np.shape(leaf)[:-1], batch)).copy(), args
         )
-        with pytest.MonkeyPatch.context() as patch:
-            for module in ("kernel", "grips", "once", "rarely", "world"):
-                patch.setattr(f"hitl_jax.walker.{module}.on_gpu", lambda: True)
-            # Not the same object: JAX would give what it has traced for a CPU.
-            text, told = kernel.written(lambda *args: function(*args), parts, args)
+        # Not the same object: JAX would give what it has traced for a CPU.
+        text, told = _written(lambda *args: function(*args), parts, args)
         results = [np.zeros(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(told)]
         threads = batch * math.prod(parts)
         ptx_machine.run(text, threads, [*jax.tree.leaves(args), *results], block_size)
@@ -90,22 +110,23 @@ def _are_close(got, expected):
 
 
 def _is_as_on_a_cpu(function, args):
-    """A part of a step with threads for each part of the legs gives what it gives on a CPU."""
+    """A part of a step, with the kernels of the version in use, gives what it gives on a CPU."""
     expected = jax.jit(function)(*args)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(world, "on_gpu", lambda: True)
-        patch.setattr(by_parts, "as_kernel", _emulated)
+        patch.setattr(gpu, "on_gpu", lambda: True)
+        for module in (world, four_threads):
+            patch.setattr(module, "as_kernel", _emulated)
         got = function(*args)
     _are_close(got, expected)
 
 
-def test_velocity_rounds(now):
+def test_velocity_rounds(now, version):
     before, _, _, contacts, hinge, grip = now
     assert contacts.touching[:, 1::2].any()
     _is_as_on_a_cpu(world._velocities, (before, hinge, grip, contacts))
 
 
-def test_velocity_rounds_with_contacts_of_all_parts(now):
+def test_velocity_rounds_with_contacts_of_all_parts(now, version):
     """Also where a walker touches with its thighs, and with more than two edges."""
     before, _, _, contacts, hinge, grip = now
     everywhere = jax.tree.map(
@@ -129,7 +150,7 @@ def _on_stairs(near, place):
 
 
 @pytest.mark.parametrize("hardcore", [False, True])
-def test_where_parts_touch(now, hardcore):
+def test_where_parts_touch(now, neighbours, hardcore):
     before, near, _, contacts, _, _ = now
     legs = world.legs_of(pose(before.place, before.angle))
     assert contacts.touching.any()
@@ -139,12 +160,12 @@ def test_where_parts_touch(now, hardcore):
     _agree(world._touched, (legs, near, before.contacts, before.feet), parts=(4,))
 
 
-def test_position_rounds(now):
+def test_position_rounds(now, version):
     before, _, manifold, _, hinge, _ = now
     _is_as_on_a_cpu(world._settle, (before.place, before.angle, hinge.side, manifold))
 
 
-def test_position_rounds_of_a_walker_out_of_joint(now):
+def test_position_rounds_of_a_walker_out_of_joint(now, version):
     """It needs all rounds, of both legs; its neighbours do not."""
     before, _, manifold, _, hinge, _ = now
     shift = np.zeros((5, _WALKERS), np.float32)
@@ -154,8 +175,12 @@ def test_position_rounds_of_a_walker_out_of_joint(now):
     _is_as_on_a_cpu(world._settle, (place, angle, hinge.side, manifold))
 
 
-@pytest.mark.parametrize("hardcore", [False, True])
-def test_impacts_have_a_thread_for_each_part(now, hardcore):
+@pytest.mark.parametrize(
+    ("version", "hardcore"),
+    [("one_thread", False), ("one_thread", True), ("four_threads", True)],
+    indirect=["version"],
+)
+def test_impacts_have_a_thread_for_each_part(now, version, hardcore):
     before, near, _, contacts, _, _ = now
     if hardcore:
         near = _on_stairs(near, Vec(before.place.x, before.place.y - 0.03))
@@ -174,13 +199,13 @@ def test_impacts_have_a_thread_for_each_part(now, hardcore):
     _agree(work, (needed, moved, near), parts=(4,))
 
 
-def test_terrain(now):
+def test_terrain(version):
     pushes = np.linspace(-0.03, 0.03, 200 * _WALKERS, dtype=np.float32).reshape(200, _WALKERS)
     stretches = np.arange(200 * _WALKERS, dtype=np.int32).reshape(200, _WALKERS) % 5 + 5
     _agree(terrain._profile, (pushes, stretches))
 
 
-def test_hardcore_terrain():
+def test_hardcore_terrain(version):
     rng = np.random.default_rng(0)
     shape = (parts.TERRAIN_LENGTH, _WALKERS)
     ends = ((5, 10), (1, 4), (1, 3), (3, 5))
@@ -189,18 +214,22 @@ def test_hardcore_terrain():
     _agree(terrain._spots, (pushes, *integers, rng.random(shape) < 0.5))
 
 
-def test_sine_and_cosine_are_as_good_as_float32():
+@pytest.mark.parametrize("module", [sincos, other_sincos])
+def test_sine_and_cosine_are_as_good_as_float32(module):
     angle = np.linspace(-50, 50, 200_001, dtype=np.float32)
     exact = angle.astype(np.float64)
-    np.testing.assert_allclose(jax.jit(sine)(angle), np.sin(exact), atol=2e-7)
-    np.testing.assert_allclose(jax.jit(cosine)(angle), np.cos(exact), atol=2e-7)
+    np.testing.assert_allclose(jax.jit(module.sine)(angle), np.sin(exact), atol=2e-7)
+    np.testing.assert_allclose(jax.jit(module.cosine)(angle), np.cos(exact), atol=2e-7)
 
 
-def test_threads_beyond_the_batch_do_nothing():
-    text, _ = kernel.written(lambda a: a + 1, (), (np.zeros(3, np.float32),))
-    given, told = np.zeros(3, np.float32), np.zeros(5, np.float32)
-    ptx_machine.run(text, 5, [given, told])
-    assert told.tolist() == [1, 1, 1, 0, 0]
+@pytest.mark.parametrize("parts", [(), (1,), (4,), (2, 2)])
+def test_threads_beyond_the_batch_do_nothing(version, parts):
+    shape = (*parts, 3)
+    text, _ = _written(lambda a: a + 1, parts, (np.zeros(shape, np.float32),))
+    given = np.arange(math.prod(shape), dtype=np.float32)
+    told = np.zeros(given.size + 2, np.float32)
+    ptx_machine.run(text, given.size + 2, [given, told])
+    assert told.tolist() == [*(given + 1), 0, 0]
 
 
 def test_what_threads_would_have_to_tell_each_other_is_refused():
@@ -215,7 +244,7 @@ def test_leaves_of_other_batches_are_named():
 
 
 @pytest.mark.parametrize("block_size", [None, 4, 8])
-def test_threads_of_a_walker_tell_each_other(block_size):
+def test_threads_of_a_walker_tell_each_other(neighbours, block_size):
     def told(a):
         legs = jnp.flip(a, -3)
         known = a[0] > 0
@@ -225,7 +254,7 @@ def test_threads_of_a_walker_tell_each_other(block_size):
     _agree(told, (a,), parts=(2, 2), block_size=block_size)  # Of 8 the last is half empty.
 
 
-def test_threads_of_a_walker_go_round_together():
+def test_threads_of_a_walker_go_round_together(neighbours):
     """As often as the slowest needs, each for itself doing nothing when it is done."""
 
     def halved(a):
@@ -247,9 +276,15 @@ def test_threads_of_a_walker_go_round_together():
         (lambda a: jax.lax.cond((a > 0).any(), lambda: jnp.flip(a, -2), lambda: a), (2, 2)),
     ],
 )
-def test_threads_that_may_not_come_to_an_exchange_are_refused(function, parts):
+def test_threads_that_may_not_come_to_an_exchange_are_refused(neighbours, function, parts):
     with pytest.raises(NotImplementedError, match="flipped, or in a branch"):
-        kernel.written(function, parts, (np.zeros((*parts, 3), np.float32),))
+        _written(function, parts, (np.zeros((*parts, 3), np.float32),))
+
+
+@pytest.mark.parametrize(("axis", "parts"), [(-3, (2, 2)), (-2, (2, 2)), (-2, (4,)), (-1, ())])
+def test_one_thread_a_walker_is_told_nothing(axis, parts):
+    with pytest.raises(NotImplementedError, match="flipped in a kernel"):
+        _written(lambda a: jnp.flip(a, axis), parts, (np.zeros((*parts, 3), np.float32),))
 
 
 @pytest.mark.parametrize(
@@ -257,7 +292,8 @@ def test_threads_that_may_not_come_to_an_exchange_are_refused(function, parts):
     [(1002, 1, 132, 1), (4008, 4, 132, 4), (16_384, 4, 132, 16), (10**6, 4, 132, 32), (8, 4, 1, 4)],
 )
 def test_blocks_are_small_while_a_gpu_has_room(threads, parts, cores, block):
-    assert kernel.block_size(threads, parts, cores) == block
+    assert NeighbourThread.block_size(threads, parts, cores) == block
+    assert Thread.block_size(threads, parts, cores) == 32
 
 
 def test_on_a_cpu_a_function_stays_itself():
@@ -274,7 +310,10 @@ def test_kernels_are_for_gpus_that_know_their_instructions(
 ):
     device = types.SimpleNamespace(platform=platform, compute_capability=capability)
     monkeypatch.setattr(jax, "devices", lambda *_: [device])
-    assert kernel.on_gpu() is taken
+    assert gpu.on_gpu() is taken
+    assert not gpu.uses_four_threads()
+    with gpu.use("four_threads"):
+        assert gpu.uses_four_threads() is taken
 
 
 @pytest.mark.parametrize(

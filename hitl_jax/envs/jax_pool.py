@@ -12,8 +12,7 @@ from hitl_jax import lanes, walker
 from hitl_jax.devices import walker_devices
 from hitl_jax.envs.base import CheckedPool, Command, StepBatch
 from hitl_jax.keys import make_key
-from hitl_jax.walker import Step, Walker
-from hitl_jax.walker.kernel import on_gpu
+from hitl_jax.walker import Step, Walker, gpu
 
 _MOST_LANES = 512
 """More walkers at once do not fit into a core's cache."""
@@ -138,8 +137,10 @@ def tick(
     def renewed() -> Walker:
         return _chosen(begins, _made(seed, hardcore), walkers)
 
-    # A GPU would wait for the host to look at the condition.
-    before = renewed() if on_gpu() else jax.lax.cond(begins.any(), renewed, lambda: walkers)
+    if gpu.uses_four_threads():  # A GPU would wait for the host to look at the condition.
+        before = renewed()
+    else:
+        before = jax.lax.cond(begins.any(), renewed, lambda: walkers)
     after, step = jax.vmap(walker.step)(before, jnp.where(begins[:, None], 0.0, action))
     return _chosen(idle, walkers, after), step
 

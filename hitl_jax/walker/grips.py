@@ -15,8 +15,7 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 
-from hitl_jax.walker import parts
-from hitl_jax.walker.kernel import on_gpu
+from hitl_jax.walker import gpu, parts
 from hitl_jax.walker.once import once
 from hitl_jax.walker.plane import Pose, Speeds, Vec, cross, dot, pose, tangent
 from hitl_jax.walker.touch import Contacts, Manifold
@@ -208,7 +207,7 @@ def velocity_round(
     for slot in range(normal[0].shape[0]):
         here = _at(grips, slot)
         before = speeds, (normal[0][slot], normal[1][slot]), (along[0][slot], along[1][slot])
-        if on_gpu():  # A thread goes by where it has no contact.
+        if gpu.uses_four_threads():  # A thread goes by where it has no contact.
             there = (here.points[0].mass > 0) | (here.points[1].mass > 0)
             after = jax.lax.cond(there.any(), _solve, lambda _, *same: same, here, *before)
         else:

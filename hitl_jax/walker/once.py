@@ -3,7 +3,7 @@
 from typing import TypeVar
 
 from hitl_jax.border import border
-from hitl_jax.walker.kernel import on_gpu
+from hitl_jax.walker import gpu
 
 Tree = TypeVar("Tree")
 
@@ -19,4 +19,4 @@ def once(values: Tree) -> Tree:
     Returns:
         The same.
     """
-    return values if on_gpu() else border(values)
+    return values if gpu.on_gpu() else border(values)

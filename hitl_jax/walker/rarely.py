@@ -7,7 +7,8 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 
-from hitl_jax.walker.kernel import as_kernel, on_gpu
+from hitl_jax.walker import gpu
+from hitl_jax.walker.gpu.kernel import as_kernel
 
 Tree = TypeVar("Tree")
 Other = TypeVar("Other")
@@ -37,7 +38,7 @@ def rarely(
     Returns:
         The state, worked on where needed, last axis B.
     """
-    if on_gpu():
+    if gpu.on_gpu():
         needed = jnp.broadcast_to(needed, (*parts, *needed.shape))
         return as_kernel(functools.partial(where_needed, work), parts)(needed, state, context)
     batch = needed.shape[0]

@@ -10,7 +10,7 @@ from hitl_jax import bipedal
 from hitl_jax.walker import parts
 from hitl_jax.walker.boxes import Boxes
 from hitl_jax.walker.flat import of_one
-from hitl_jax.walker.kernel import as_kernel
+from hitl_jax.walker.gpu.kernel import as_kernel
 from hitl_jax.walker.plane import Vec
 
 _STEP = np.float32(parts.TERRAIN_STEP)

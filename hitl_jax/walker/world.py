@@ -6,16 +6,18 @@ operation runs along it.
 """
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from hitl_jax.walker import by_parts, grips, ground, hinges, impact, parts, touch
+from hitl_jax.walker import gpu, grips, ground, hinges, impact, parts, touch
 from hitl_jax.walker.boxes import Near
+from hitl_jax.walker.gpu.four_threads import solver as four_threads
+from hitl_jax.walker.gpu.kernel import as_kernel
 from hitl_jax.walker.hinges import Impulses
-from hitl_jax.walker.kernel import as_kernel, on_gpu
 from hitl_jax.walker.plane import Pose, Speeds, Vec, dot, pose, tangent, where
 from hitl_jax.walker.rarely import rarely
 from hitl_jax.walker.sweep import NEAR, Sweep, may_meet
@@ -80,9 +82,8 @@ def step(world: World, speed: jax.Array, torque: jax.Array, terrain: Terrain) ->
     bodies = pose(world.place, world.angle)
     legs = legs_of(bodies)
     near = ground.near_parts(terrain, legs_left(legs))
-    manifold, contacts, feet, seen = as_kernel(_touched, _PARTS)(
-        legs, near, world.contacts, world.feet
-    )
+    touched = as_kernel(_touched, _PARTS) if gpu.uses_four_threads() else _touched
+    manifold, contacts, feet, seen = touched(legs, near, world.contacts, world.feet)
     fallen = world.fallen | _hull_meets(bodies, terrain, 2 * parts.SKIN)
 
     hinge = hinges.prepare(bodies, world.angle, speed, torque)
@@ -194,19 +195,22 @@ def _velocities(
     rows = _rows(_after_head(velocity, legs.velocity), jnp.concatenate([world.spin[:1], legs.spin]))
     begun = hinges.begin(hinge, world.impulses)
     rows = hinges.warm(rows, hinge, begun)
-    if on_gpu():
-        return by_parts.velocities(_stacked(rows), begun, (normal, along), hinge, grip)
+    if gpu.uses_four_threads():
+        return four_threads.velocities(_stacked(rows), begun, (normal, along), hinge, grip)
     impulses = [jax.tree.map(lambda leaf, i=i: leaf[i], begun) for i in range(len(parts.HINGES))]
     start = _Motion(rows, impulses, normal, along)
 
     touching = contacts.touching
     many = touching[_FEW:].any((0, 1)) | touching[:, ::2].any((0, 1))
-    motion, _ = rarely(
-        many,
-        lambda state, context: (_rounds(state[1], *context, _LEGS), state[1]),
-        (_few_rounds(start, hinge, grip), start),
-        (hinge, grip),
-    )
+    if gpu.on_gpu():
+        motion = as_kernel(_either_rounds)(many, start, hinge, grip)
+    else:
+        motion, _ = rarely(
+            many,
+            lambda state, context: (_rounds(state[1], *context, _LEGS), state[1]),
+            (_few_rounds(start, hinge, grip), start),
+            (hinge, grip),
+        )
     return _stacked(motion.rows), _stacked(motion.hinge), (motion.normal, motion.along)
 
 
@@ -227,6 +231,18 @@ def _few_rounds(start: _Motion, hinge: hinges.Hinges, grip: grips.Grips) -> _Mot
         jax.tree.map(placed, start.normal, after.normal),
         jax.tree.map(placed, start.along, after.along),
     )
+
+
+def _either_rounds(
+    many: jax.Array, start: _Motion, hinge: hinges.Hinges, grip: grips.Grips
+) -> _Motion:
+    """All velocity rounds; in a kernel, where `many` is asked of each walker by itself."""
+    result: _Motion = jax.lax.cond(
+        many.any(),
+        lambda: _rounds(start, hinge, grip, _LEGS),
+        lambda: _few_rounds(start, hinge, grip),
+    )
+    return result
 
 
 def _rounds(
@@ -260,18 +276,22 @@ def _settle(
     place: Vec, angle: jax.Array, side: jax.Array, manifold: touch.Manifold
 ) -> tuple[Vec, jax.Array]:
     """Places and angles after the position rounds, of which most walkers need one or two."""
-    if on_gpu():
-        return by_parts.settled(place, angle, side, manifold, _FIRMNESS, _SOUND)
+    if gpu.uses_four_threads():
+        return four_threads.settled(place, angle, side, manifold, _FIRMNESS, _SOUND)
     carry, context = (place, angle, jnp.ones(angle.shape[1:], bool)), (side, manifold)
+    if gpu.on_gpu():
+        place, angle, _ = as_kernel(functools.partial(_position_rounds, 0))(carry, context)
+        return place, angle
     carry = jax.lax.fori_loop(
         0, _ROUNDS_FOR_ALL, lambda _, carry: _position_round(carry, *context), carry
     )
-    place, angle, _ = rarely(carry[2], _later_position_rounds, carry, context)
+    later = functools.partial(_position_rounds, _ROUNDS_FOR_ALL)
+    place, angle, _ = rarely(carry[2], later, carry, context)
     return place, angle
 
 
-def _later_position_rounds(carry: tuple, context: tuple) -> tuple:
-    """As many rounds, after those for all, as are needed and allowed."""
+def _position_rounds(made: int, carry: tuple, context: tuple) -> tuple:
+    """As many rounds, after those that were made, as are needed and allowed."""
 
     def goes(counted: tuple) -> jax.Array:
         return counted[1][2].any() & (counted[0] < parts.POSITION_ROUNDS)
@@ -279,7 +299,7 @@ def _later_position_rounds(carry: tuple, context: tuple) -> tuple:
     def one(counted: tuple) -> tuple:
         return counted[0] + 1, _position_round(counted[1], *context)
 
-    result: tuple = jax.lax.while_loop(goes, one, (_ROUNDS_FOR_ALL, carry))[1]
+    result: tuple = jax.lax.while_loop(goes, one, (made, carry))[1]
     return result
 
 

@@ -92,7 +92,7 @@ def make_learner(
         loop: the size of the replay, and of what each call adds to it.
     """
     agent = make_agent(config)
-    programs = batch.make_programs(agent, num_updates, default_tile())
+    programs = batch.make_programs(agent, num_updates, default_tile(runs))
     hyper = jax.tree.map(np.asarray, hyper_for(Method.HITL_AC, Hyper()))
     layout = agent.layout
     share = runs // len(learning_devices())

@@ -2,8 +2,8 @@
 
 XLA makes a kernel of each handful of operations. The solver's loops are hundreds of rounds of a
 hundred small operations each: on a GPU they would spend their time on starting kernels and on
-memory. Here the function's jaxpr is written as the instructions of one thread (`thread`, `ptx`),
-which XLA takes as they are. On other devices the function stays as it is.
+memory. Here the function's jaxpr is written as the instructions of one thread (`jaxpr_to_ptx`,
+`ptx`), which XLA takes as they are. On other devices the function stays as it is.
 """
 
 import functools
@@ -15,59 +15,32 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax.walker.ptx import Writer
-from hitl_jax.walker.thread import Thread, array_of, elements_of
+from hitl_jax.walker import gpu
+from hitl_jax.walker.gpu.four_threads.thread import NeighbourThread
+from hitl_jax.walker.gpu.jaxpr_to_ptx import Thread, array_of, elements_of
+from hitl_jax.walker.gpu.ptx import Writer
 
 _NAME = "walker"
-_WARP = 32
-_BLOCKS_OF_A_CORE = 8
-"""Two for each of its schedulers. With fewer walkers than that takes, blocks are smaller: the
-threads of one wait for its slowest, and take each other's branches."""
-_LEAST_CAPABILITY = 8.0
-"""The kernels' text uses what came with it."""
 _PLACEHOLDER = 9973
 """Stands for the batch while a function is traced; no other axis is as long."""
 
 
-def on_gpu() -> bool:
-    """Whether JAX's default device is an NVIDIA GPU of 2020 (Ampere) or later.
-
-    That is asked while a program is traced. What was traced for such a GPU runs on no other device:
-    to have a walker on the CPU of a machine with one, trace it under `jax.default_device`.
-    """
-    chosen = _device()
-    if chosen.platform not in ("gpu", "cuda"):
-        return False
-    try:
-        return float(chosen.compute_capability) >= _LEAST_CAPABILITY
-    except ValueError:  # of another maker's, which has letters
-        return False
-
-
-def _device() -> jax.Device:
-    chosen = jax.config.jax_default_device  # type: ignore[attr-defined]
-    if chosen is None or isinstance(chosen, str):
-        chosen = jax.devices(chosen)[0]
-    return chosen
-
-
 def as_kernel(function: Callable[..., Any], parts: tuple[int, ...] = ()) -> Callable[..., Any]:
-    """The function as one kernel, for the GPUs of `on_gpu`; else itself.
+    """The function as one kernel, for the GPUs of `gpu.on_gpu`; else itself.
 
-    Whether anybody needs another round is asked of each thread by itself, or of its neighbours too
-    where threads tell each other: a loop must do nothing to those that need none.
+    Whether anybody needs another round is asked of each thread by itself: a loop must do nothing to
+    those that need none.
 
     Args:
         function: of pytrees whose leaves' last axis is the batch, or 1, to such; what it does not
             get as an argument must be constant.
         parts: lengths of the axes before the batch's, in all leaves, whose places get a thread
-            each. Where there are two axes, both of 2, `jnp.flip` over one of them has the threads
-            of a walker tell each other; else they do not feel each other.
+            each. They do not feel each other, unless `NeighbourThread` says how.
 
     Returns:
         A function of the same arguments.
     """
-    return functools.partial(call, function, parts) if on_gpu() else function
+    return functools.partial(call, function, parts) if gpu.on_gpu() else function
 
 
 def call(function: Callable[..., Any], parts: tuple[int, ...], *args: Any) -> Any:
@@ -79,7 +52,8 @@ def call(function: Callable[..., Any], parts: tuple[int, ...], *args: Any) -> An
     text, told = written(function, parts, jax.tree.unflatten(structure, shapes))
     told_leaves, told_structure = jax.tree.flatten(told)
     threads = batch * math.prod(parts)
-    block = block_size(threads, math.prod(parts), getattr(_device(), "core_count", 1))
+    cores = getattr(gpu.default_device(), "core_count", 1)
+    block = _thread_class().block_size(threads, math.prod(parts), cores)
     sizes = {"grid_x": math.ceil(threads / block), "grid_y": 1, "grid_z": 1}
     sizes |= {"block_x": block, "block_y": 1, "block_z": 1, "shared_mem_bytes": 0}
     results = jax.ffi.ffi_call("__gpu$xla.gpu.ptx", told_leaves)(
@@ -93,18 +67,8 @@ def call(function: Callable[..., Any], parts: tuple[int, ...], *args: Any) -> An
     return jax.tree.unflatten(told_structure, results)
 
 
-def block_size(threads: int, parts: int, cores: int) -> int:
-    """Threads of a block.
-
-    Args:
-        threads: of the kernel.
-        parts: threads of a walker, which stay together; a power of 2.
-        cores: the GPU's multiprocessors.
-    """
-    block = parts
-    while block < _WARP and threads > block * cores * _BLOCKS_OF_A_CORE:
-        block *= 2
-    return block
+def _thread_class() -> type[Thread]:
+    return NeighbourThread if gpu.uses_four_threads() else Thread
 
 
 def written(function: Callable[..., Any], parts: tuple[int, ...], args: Any) -> tuple[str, Any]:
@@ -134,8 +98,8 @@ def written(function: Callable[..., Any], parts: tuple[int, ...], args: Any) -> 
 
     writer = Writer()
     threads = batch * math.prod(parts)
-    part, place = writer.begin(batch, math.prod(parts))
-    thread = Thread(writer, lanes, part)
+    thread = _thread_class()(writer, lanes)
+    place = thread.begin(batch)
     addresses = [
         writer.address(index, place, leaf.dtype) for index, leaf in enumerate([*leaves, *results])
     ]

@@ -9,16 +9,26 @@ import numpy as np
 
 def sine(angle: jax.Array) -> jax.Array:
     """The sine to float32's precision, for angles of some thousand radians at most."""
-    return _quarter_wave(angle, 0)
+    return _quarter_wave(angle, 0.0)
 
 
 def cosine(angle: jax.Array) -> jax.Array:
     """The cosine; see `sine`."""
-    return _quarter_wave(angle, 1)
+    return _quarter_wave(angle, 1.0)
 
 
-def _quarter_wave(angle: jax.Array, ahead: int) -> jax.Array:
-    """The sine of an angle and so many quarters of a turn.
+def _quarter_wave(angle: jax.Array, ahead: float) -> jax.Array:
+    """The sine of an angle and so many quarters of a turn."""
+    quarters, odd, even = quarter_waves(angle)
+    quarters = quarters + np.float32(ahead)
+    halves = jnp.floor(quarters * np.float32(0.5))
+    is_even = quarters - 2 * halves > 0
+    wave = jnp.where(is_even, even, odd)
+    return jnp.where(halves - 2 * jnp.floor(halves * np.float32(0.5)) > 0, -wave, wave)
+
+
+def quarter_waves(angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """How many quarters of a turn an angle is, and sine and cosine of what is left of it.
 
     What is left of the angle beyond whole quarters, found with a quarter in three pieces of few
     bits, is at most an eighth of a turn, where short polynomials do (coefficients: S. Moshier's
@@ -36,6 +46,4 @@ def _quarter_wave(angle: jax.Array, ahead: int) -> jax.Array:
     even = np.float32(2.443315711809948e-5) * square + np.float32(-1.388731625493765e-3)
     even = even * square + np.float32(4.166664568298827e-2)
     even = even * square * square - np.float32(0.5) * square + np.float32(1.0)
-    place = quarters.astype(jnp.int32) + ahead
-    wave = jnp.where(place & 1 > 0, even, odd)
-    return jnp.where(place & 2 > 0, -wave, wave)
+    return quarters, odd, even

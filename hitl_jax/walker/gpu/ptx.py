@@ -123,20 +123,15 @@ class Writer:
 
     # Threads and arrays.
 
-    def begin(self, batch: int, parts: int) -> tuple[Register, Register]:
-        """The thread's part, and the place of its number in an array [parts, batch].
-
-        Parts of a walker are neighbours. Threads beyond the last end at once.
-        """
+    def begin(self, num_threads: int) -> Register:
+        """The thread's number; threads beyond the last end at once."""
         block, width, place = (
             self.apply("mov.u32", "s32", name) for name in ("%ctaid.x", "%ntid.x", "%tid.x")
         )
         thread = self.apply("mad.lo.s32", "s32", block, width, place)
-        beyond = self.apply("setp.ge.s32", "pred", thread, str(batch * parts))
+        beyond = self.apply("setp.ge.s32", "pred", thread, str(num_threads))
         self.write(f"@{beyond.name} bra $end;")
-        part = self.apply("rem.s32", "s32", thread, str(parts))
-        walker = self.apply("div.s32", "s32", thread, str(parts))
-        return part, self.apply("mad.lo.s32", "s32", part, str(batch), walker)
+        return thread
 
     def address(self, array: int, place: Register, dtype: Any) -> Register:
         """The address of the number at a place of an array."""
@@ -223,21 +218,6 @@ class Writer:
         if kind == "pred":
             return self.operate("ne", element, _NUMBERS[own](0))
         return self.apply(_CONVERSIONS[own, kind], kind, element)
-
-    # Between threads of a warp, all of which must come there. Lanes that a block does not have, or
-    # that have ended, are not waited for.
-
-    def exchanged(self, element: Element, distance: int) -> Element:
-        """The number of the thread whose own differs by one bit, worth a distance."""
-        if not isinstance(element, Register):
-            return element
-        if element.kind == "pred":
-            return self.convert(self.exchanged(self.convert(element, "s32"), distance), "pred")
-        return self.apply("shfl.sync.bfly.b32", element.kind, element, str(distance), "31", "-1")
-
-    def any_of(self, flag: Element) -> Element:
-        """Whether a flag is set in any thread."""
-        return self.apply("vote.sync.any.pred", "pred", self.held(flag), "-1")
 
     # Ways through the text.
 

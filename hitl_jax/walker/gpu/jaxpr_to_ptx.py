@@ -3,10 +3,6 @@
 The jaxpr is that of a function of a batch. Each array [..., B] is taken apart: a thread has one
 number of it for each place of its leading axes, in a register. So nothing is left of slices, stacks
 and broadcasts, loops go round as often as this thread needs, and constants stand in the text.
-
-Where a walker has two by two threads, `jnp.flip` over one of their axes is an exchange: each thread
-gets the number of the other. All threads must come to it, so loops go round as often as any thread
-nearby needs, and no exchange may be in a branch.
 """
 
 import functools
@@ -20,8 +16,10 @@ import jax.extend.core as jex
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax.walker.ptx import Element, Writer, kind_of
-from hitl_jax.walker.waves import cosine, sine
+from hitl_jax.walker.gpu.ptx import Element, Register, Writer, kind_of
+from hitl_jax.walker.gpu.sincos import cosine, sine
+
+_WARP = 32
 
 
 class Thread:
@@ -31,21 +29,42 @@ class Thread:
     lanes' has its leading axes, that of another all its axes.
     """
 
-    def __init__(self, writer: Writer, lanes: tuple[int, ...], part: Element | None):
-        """Begins.
+    def __init__(self, writer: Writer, lanes: tuple[int, ...]):
+        """Writes nothing yet.
 
         Args:
             writer: of the instructions.
-            lanes: the last axes of arrays of which each thread has one number.
-            part: the thread's place on those before the last, if there are any.
+            lanes: the last axes of arrays of which each thread has one number: those of a walker's
+                parts, if there are any, and the batch.
         """
         self._writer = writer
         self._lanes = lanes
         self._rank = len(lanes)
-        self._part = part
-        self._exchanges = lanes[:-1] == (2, 2)
-        self._alone = False
-        """Whether a thread may be where its neighbours are not."""
+        self._part: Element | None = None
+        """The thread's place on the axes of the parts."""
+
+    @staticmethod
+    def block_size(threads: int, parts: int, cores: int) -> int:
+        """Threads of a block: few, so that a thousand walkers keep a large GPU's processors busy.
+
+        Args:
+            threads: of the kernel.
+            parts: threads of a walker.
+            cores: the GPU's multiprocessors.
+        """
+        del threads, parts, cores
+        return _WARP
+
+    def begin(self, batch: int) -> Register:
+        """The place of the thread's number in an array [parts, batch].
+
+        Threads stand as the numbers do: those of the first part, then those of the second.
+        """
+        parts = math.prod(self._lanes[:-1])
+        place = self._writer.begin(batch * parts)
+        if self._rank > 1:
+            self._part = self._writer.operate("div", place, np.int32(batch))
+        return place
 
     def has_lanes(self, shape: Sequence[int]) -> bool:
         """Whether arrays of this shape are taken apart into arrays of lanes."""
@@ -92,7 +111,7 @@ class Thread:
         kind = kind_of(eqn.params["new_dtype"])
         return [self._mapped(lambda element: self._writer.convert(element, kind), eqn, given)]
 
-    def _traced(
+    def traced(
         self, function: Callable[..., Any], eqn: Any, given: list[np.ndarray]
     ) -> list[np.ndarray]:
         """A function of scalars, of all elements."""
@@ -106,13 +125,13 @@ class Thread:
         return [self._mapped(one, eqn, given)]
 
     def _sin(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
-        return self._traced(sine, eqn, given)
+        return self.traced(sine, eqn, given)
 
     def _cos(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
-        return self._traced(cosine, eqn, given)
+        return self.traced(cosine, eqn, given)
 
     def _sign(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
-        return self._traced(_sign, eqn, given)
+        return self.traced(_sign, eqn, given)
 
     def _mapped(
         self, function: Callable[..., Any], eqn: Any, given: list[np.ndarray]
@@ -189,21 +208,17 @@ class Thread:
     def _rev(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         (value,) = given
         axes = eqn.params["dimensions"]
-        rank = value.ndim
-        if outer := tuple(axis for axis in axes if axis < rank):
+        if outer := tuple(axis for axis in axes if axis < value.ndim):
             value = np.flip(value, outer)
         for axis in axes:
-            if axis >= rank:
-                value = self._exchanged(value, axis - rank)
+            if axis >= value.ndim:
+                value = self._exchanged(value, axis - value.ndim)
         return [value]
 
     def _exchanged(self, value: np.ndarray, axis: int) -> np.ndarray:
         """The numbers of the other thread along an axis of the lanes."""
-        if not self._exchanges or self._lanes[axis] != 2 or self._alone:
-            raise NotImplementedError(f"axis {axis} of {self._lanes} flipped, or in a branch")
-        distance = math.prod(self._lanes[axis + 1 : -1])
-        others = [self._writer.exchanged(element, distance) for element in elements_of(value)]
-        return array_of(others, value.shape)
+        del value
+        raise NotImplementedError(f"axis {axis} of {self._lanes} flipped in a kernel")
 
     def _concatenate(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         return [np.concatenate(given, eqn.params["dimension"])]
@@ -284,13 +299,14 @@ class Thread:
         carry = self._copied(given[of_test + of_body :])
         with self._writer.loop() as end:
             (test,) = self.run_closed(eqn.params["cond_jaxpr"], [*test_consts, *carry])
-            (goes,) = elements_of(test)
-            if self._exchanges and not self._alone:
-                goes = self._writer.any_of(goes)
-            self._writer.branch(end, unless=goes)
+            self._writer.branch(end, unless=self._goes_on(elements_of(test)[0]))
             after = self.run_closed(eqn.params["body_jaxpr"], [*body_consts, *carry])
             self._writer.move_all(_flat(carry), _flat(after))
         return carry
+
+    def _goes_on(self, wanted: Element) -> Element:
+        """Whether a loop goes round again where this thread wants it, or does not."""
+        return wanted
 
     def _scan(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         closed = eqn.params["jaxpr"]
@@ -343,13 +359,11 @@ class Thread:
         other, end = self._writer.label(), self._writer.label()
         condition = self._writer.convert(elements_of(which)[0], "pred")
         self._writer.branch(other, unless=condition)
-        before, self._alone = self._alone, True
         results = self._copied(self.run_closed(yes, operands))
         self._writer.branch(end)
         self._writer.write(f"{other}:")
         self._writer.move_all(_flat(results), _flat(self.run_closed(no, operands)))
         self._writer.write(f"{end}:")
-        self._alone = before
         return results
 
     def _copied(self, values: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -19,9 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax.walker import grips, hinges, parts
+from hitl_jax.walker.gpu.kernel import as_kernel
 from hitl_jax.walker.grips import Grips, Pair
 from hitl_jax.walker.hinges import Hinges, Impulses, Placed
-from hitl_jax.walker.kernel import as_kernel
 from hitl_jax.walker.plane import Speeds, Vec
 from hitl_jax.walker.touch import Manifold
 
