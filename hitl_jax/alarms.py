@@ -63,4 +63,4 @@ def _known(counts: np.ndarray, unknown: np.ndarray) -> np.ndarray:
 
 def total(counts: list[AlarmCounts]) -> AlarmCounts:
     """Counts of several episodes together; at least one."""
-    return AlarmCounts(*(np.sum(values, axis=0) for values in zip(*counts, strict=True)))
+    return AlarmCounts._make(np.sum(values, axis=0) for values in zip(*counts, strict=True))

@@ -1,5 +1,7 @@
 """Who is in control: u_t, what an intervention does, and the reward of equation (7)."""
 
+from typing import Any
+
 import chex
 import jax
 import jax.numpy as jnp
@@ -116,5 +118,5 @@ def shaped_reward(
         The reward that is learned from, [...].
     """
     given = control if schedule == "step" else ended & intervened
-    where = jnp.where if isinstance(reward, jax.Array) else np.where
+    where: Any = jnp.where if isinstance(reward, jax.Array) else np.where
     return reward + where(given, feedback, -0.0)  # To which -0 is added keeps its sign, if it is 0.

@@ -75,7 +75,7 @@ def _fit(signal: np.ndarray, dangerous: np.ndarray, delay: int) -> FittedHuman:
     missed = falls.sum() - np.concatenate([[0], np.cumsum(falls)])
     allowed = np.concatenate([[True], np.append(found[:-1] > found[1:], True) & np.isfinite(found)])
     wrong = np.where(allowed, feared + missed, len(signal) + 1)
-    best = int(wrong.argmin())
+    best = int(np.argmin(wrong))
     return FittedHuman(
         tolerance=_between(found, best),
         delay=delay,

@@ -75,7 +75,11 @@ def validate_human_params(params: HumanParams, max_delay: int = MAX_DELAY) -> No
         value = getattr(params, name)
         if not isinstance(value, numbers.Integral):
             raise ValueError(f"{_option(name)} {value}: must be a whole number")
-        _require(name, value, lambda value, most=most: 0 <= value <= most, f"from 0 to {most}")
+        _require(name, value, functools.partial(_up_to, most), f"from 0 to {most}")
+
+
+def _up_to(most: int, value: float) -> bool:
+    return 0 <= value <= most
 
 
 class HumanPart(NamedTuple):

@@ -41,7 +41,8 @@ def kept(owner: str, state: Any, before: chex.ArrayTree) -> chex.ArrayTree:
         ValueError: one line, if the structure is another, or a leaf has another shape or a type
             whose values the one before does not have.
     """
-    structure, known = jax.tree.structure(state), jax.tree.structure(before)
+    structure: Any = jax.tree.structure(state)
+    known = jax.tree.structure(before)
     if structure != known:
         raise ValueError(f"state of {owner}: was {known} and is {structure}; must stay the same")
 

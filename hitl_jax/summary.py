@@ -282,8 +282,8 @@ def _value(statistic: Any, values: np.ndarray) -> float | None:
 
 
 def _ratio(part: np.ndarray, whole: np.ndarray) -> float | None:
-    total = whole.sum()
-    return float(part.sum() / total) if total else None
+    total = float(whole.sum())
+    return float(part.sum()) / total if total else None
 
 
 def _last(values: np.ndarray) -> Any:

@@ -79,8 +79,10 @@ class OfficialWalkers:
         later = self._trial(env, 0)
         env.close()
         # Not what comes then: with contacts in another order a foot may touch down later.
-        starts = (np.append(rows[0], rows[1, self.observation_size]) for rows in (first, later))
-        if not np.allclose(*starts, rtol=_TOLERANCE, atol=_TOLERANCE, equal_nan=True):
+        begun, again = (
+            np.append(rows[0], rows[1, self.observation_size]) for rows in (first, later)
+        )
+        if not np.allclose(begun, again, rtol=_TOLERANCE, atol=_TOLERANCE, equal_nan=True):
             raise self._forgetful("an episode")
 
     def _forgetful(self, what: str) -> Unplayable:

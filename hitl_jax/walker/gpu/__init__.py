@@ -57,7 +57,7 @@ def on_gpu() -> bool:
 
 def default_device() -> jax.Device:
     """The device that programs are traced for."""
-    chosen = jax.config.jax_default_device  # type: ignore[attr-defined]
+    chosen = jax.config.jax_default_device
     if chosen is None or isinstance(chosen, str):
         chosen = jax.devices(chosen)[0]
     return chosen
