@@ -242,6 +242,7 @@ def test_pause_step_and_speed(served):
 def test_one_controls_and_others_watch(served):
     with served.open() as first, served.open() as second:
         assert _until(second, "hello")["role"] == "watcher"
+        _until(first, "frame")  # It begins once the page that controls has answered.
         _until(second, "frame", lambda m: m["n"] > 3)
         _say(second, "pause", on=True)
         assert "somebody else controls" in _until(second, "error")["message"]
