@@ -4,6 +4,10 @@ import os
 
 _ANY_SIZE = "xla_cpu_small_while_loop_byte_threshold=1000000000"
 
+SINCE = (0, 10, 1)
+"""Before this version of JAX, XLA makes one kernel of a learner's loop, too: its products are ten
+times slower, and of some there is no such kernel at all."""
+
 
 def have_loops_in_one_kernel() -> None:
     """Has XLA make one kernel of a loop, of any size, instead of one of each operation in it.
@@ -13,9 +17,11 @@ def have_loops_in_one_kernel() -> None:
     round: that takes a quarter of the time with 512 walkers, and half with 256. XLA does it by
     itself where a loop is over a kilobyte at most. The learner's programs stay as they are, and so
     does a loop with a scatter, as that over a chunk's ticks has (`device_stage`), so that acting
-    rounds there as in the host's loop. Where XLA_FLAGS has options of this kind already, nothing is
-    done.
+    rounds there as in the host's loop. Nothing is done where XLA_FLAGS has options of this kind
+    already, or with a JAX older than `SINCE`.
     """
+    import jax  # Only here: importing it reads the environment, which a caller may have yet to set.
+
     flags = os.environ.get("XLA_FLAGS", "")
-    if "xla_backend_extra_options" not in flags:
+    if jax.__version_info__ >= SINCE and "xla_backend_extra_options" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={_ANY_SIZE}".strip()

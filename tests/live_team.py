@@ -119,7 +119,6 @@ class Served:
             f"ws://{host}/socket?token={token}",
             origin=f"http://{host}" if origin == "" else origin,
             sock=socket.create_connection(("127.0.0.1", self.port)),
-            legacy=True,
         )
 
     def answer(self, *lines):

@@ -4,7 +4,10 @@ import os
 import subprocess
 import sys
 
+import jax
 import pytest
+
+from hitl_jax import flags
 
 _SCRIPT = """
 import hitl_jax.commands
@@ -17,16 +20,16 @@ print("small_call" in jax.jit(rounds).lower(jnp.ones(1000)).compile().as_text())
 
 
 @pytest.mark.parametrize(
-    ("flags", "whole"),
+    ("options", "whole"),
     [
-        ("", "True"),
+        ("", str(jax.__version_info__ >= flags.SINCE)),
         ("--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=0", "False"),
     ],
 )
-def test_loops_are_one_kernel(flags, whole):
+def test_loops_are_one_kernel(options, whole):
     done = subprocess.run(
         [sys.executable, "-c", _SCRIPT],
-        env={**os.environ, "XLA_FLAGS": flags},
+        env={**os.environ, "XLA_FLAGS": options},
         stdout=subprocess.PIPE,
         text=True,
         check=True,

@@ -1,5 +1,6 @@
 """The live page as a command: played, killed, taken up again; the person as a recorded human."""
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -44,8 +45,9 @@ class _Page:
             assert line, self.said
             self.said += line
         host, token = found.groups()
-        self._socket = connect(
-            f"ws://{host}/socket?token={token}", origin=f"http://{host}", legacy=True
+        self._open = contextlib.ExitStack()
+        self._socket = self._open.enter_context(
+            connect(f"ws://{host}/socket?token={token}", origin=f"http://{host}")
         )
 
     def say(self, kind, **fields):
@@ -63,7 +65,7 @@ class _Page:
     def stop(self, number):
         self.process.send_signal(number)
         self.said += self.process.communicate(timeout=60)[0]
-        self._socket.close()
+        self._open.close()
         return self.process.returncode
 
 
