@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, Protocol
 import jax
 import numpy as np
 
-from hitl_jax import batch, decisions
+from hitl_jax import batch, decisions, lanes
 from hitl_jax.acting import ActingState, init_acting
 from hitl_jax.agent import Agent, behavior
 from hitl_jax.config import Method, RunHyper, require_whole, typed
@@ -147,8 +147,12 @@ class Evaluator:
         hyper = typed(frozen(hyper, human_present=mode == "assisted"))
         # Committed to the acting device, the programs run there, a GPU or not.
         placed, params, key = jax.device_put((hyper, params, key), acting_device())
-        state = _init(self._agent, placed, boundary, key, np.arange(seeds.shape[1]))
         config, layout = self._agent.config, self._agent.layout
+        num_policies, episodes = seeds.shape
+        width = lanes.full(episodes)
+        state = _init(self._agent, placed, boundary, key, np.arange(width))
+        seen = np.zeros((num_policies, width, layout.observation_size), np.float32)
+        live = np.zeros((num_policies, width), bool)
         logged = logged_layout(layout)
         walkers = self._pool.num_walkers
         log = EpisodeLog(walkers, step_width(logged))
@@ -170,11 +174,10 @@ class Evaluator:
         answer = self._pool.step(command, action, resets)
         active = without(_broken(answer))
         while active.any():
-            observation = answer.observation
-            seen = observation[: seeds.size].reshape(*seeds.shape, -1)
-            live = active[: seeds.size].reshape(seeds.shape)
+            seen[:, :episodes] = answer.observation[: seeds.size].reshape(*seeds.shape, -1)
+            live[:, :episodes] = active[: seeds.size].reshape(seeds.shape)
             state, packed = _act(self._agent, placed, params, state, seen, live)
-            decided[: seeds.size] = np.asarray(packed).reshape(seeds.size, -1)
+            decided[: seeds.size] = np.asarray(packed)[:, :episodes].reshape(seeds.size, -1)
             # A policy of numbers that are not finite cannot act.
             active = without(~finite_decision(decided, layout))
             if watch is not None:

@@ -1,5 +1,6 @@
 """A flag of XLA's that makes walkers of `hitl_jax.walker` faster on a CPU."""
 
+import importlib.metadata
 import os
 
 _ANY_SIZE = "xla_cpu_small_while_loop_byte_threshold=1000000000"
@@ -20,8 +21,7 @@ def have_loops_in_one_kernel() -> None:
     rounds there as in the host's loop. Nothing is done where XLA_FLAGS has options of this kind
     already, or with a JAX older than `SINCE`.
     """
-    import jax  # Only here: importing it reads the environment, which a caller may have yet to set.
-
+    version = tuple(map(int, importlib.metadata.version("jax").split(".")[:3]))
     flags = os.environ.get("XLA_FLAGS", "")
-    if jax.__version_info__ >= SINCE and "xla_backend_extra_options" not in flags:
+    if version >= SINCE and "xla_backend_extra_options" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={_ANY_SIZE}".strip()

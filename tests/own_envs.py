@@ -161,6 +161,14 @@ class Wide(Drift):
         return np.array([self.place, self.steps], np.float64)
 
 
+class RewardInArray(Drift):
+    """Its reward is an array of one number."""
+
+    def step(self, action):
+        seen, reward, *rest = super().step(action)
+        return seen, np.array([reward]), *rest
+
+
 class Whole(Drift):
     """Observations of int64."""
 
@@ -281,7 +289,8 @@ gymnasium.register(
 gymnasium.register("NormalReward-v0", wrapped(NormalizeReward, Smoothed))
 gymnasium.register("RunningLargest-v0", wrapped(RunningLargest))
 gymnasium.register("RunningReward-v0", wrapped(RunningReward))
-for kind in (Harder, Counted, Unseeded, Clock, Misshapen, Wide, Whole, KeepsAction):
+_KINDS = (Harder, Counted, Unseeded, Clock, Misshapen, Wide, Whole, RewardInArray, KeepsAction)
+for kind in _KINDS:
     gymnasium.register(f"{kind.__name__}-v0", kind)
 for name, box in (BOXES | REFUSED_BOXES).items():
     gymnasium.register(f"{name}-v0", Echo, kwargs={"box": box})

@@ -16,7 +16,8 @@ from hitl_jax.__main__ import main
 took = {}
 def note(event, seconds, fun_name="?", **_):
     if event.endswith("/backend_compile_duration"):
-        took[fun_name] = max(seconds, took.get(fun_name, 0.0))
+        name = fun_name.removeprefix("jit(").removesuffix(")")  # As newer versions tell it.
+        took[name] = max(seconds, took.get(name, 0.0))
 jax.monitoring.register_event_duration_secs_listener(note)
 """
 

@@ -58,11 +58,11 @@ class DiscreteToy(Toy):
     action_space = gymnasium.spaces.Discrete(2)
 
 
-def make_plain(env_id: str) -> gymnasium.Env:
+def make_plain(env_id: str, **options) -> gymnasium.Env:
     """A plain environment; Box2D's import gives a warning which, made an error, ends Python."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return gymnasium.make(env_id)
+        return gymnasium.make(env_id, **options)
 
 
 def tick(pool, command, action=0.0, seed=0) -> StepBatch:

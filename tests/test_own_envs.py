@@ -22,18 +22,19 @@ AS_THEY_ARE = [
     "Settled",
     "Wide",
     "Whole",
+    "RewardInArray",
     "KeepsAction",
 ]
 
 
 def plain_episode(env_id, seed, actions):
     """Rows (observation, reward, terminated, truncated) of a new environment."""
-    env = make_plain(env_id)
+    env = make_plain(env_id, disable_env_checker=True)
     observation, _ = env.reset(seed=seed)
     rows = [(*observation, 0.0, False, False)]
     for action in actions:
         observation, reward, *ends, _ = env.step(action.copy())
-        rows.append((*observation, reward, *ends))
+        rows.append((*observation, *np.ravel(reward), *ends))
         if any(ends):
             break
     return np.array(rows, np.float32)

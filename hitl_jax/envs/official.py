@@ -59,8 +59,10 @@ class OfficialWalkers:
                 observation[index], _ = env.reset(seed=int(seed[index]))
             elif order == Command.STEP:
                 assert env is not None
-                answer = env.step(action[index])
-                observation[index], reward[index], terminated[index], truncated[index], _ = answer
+                observation[index], gain, terminated[index], truncated[index], _ = env.step(
+                    action[index]
+                )
+                reward[index] = np.asarray(gain).item()  # Some are arrays of one number.
 
     def _try_out(self, env: gymnasium.Env) -> None:
         """Raises Unplayable if an episode is seen to depend on more than its seed and actions."""
@@ -79,10 +81,8 @@ class OfficialWalkers:
         later = self._trial(env, 0)
         env.close()
         # Not what comes then: with contacts in another order a foot may touch down later.
-        begun, again = (
-            np.append(rows[0], rows[1, self.observation_size]) for rows in (first, later)
-        )
-        if not np.allclose(begun, again, rtol=_TOLERANCE, atol=_TOLERANCE, equal_nan=True):
+        one, other = (np.append(rows[0], rows[1, self.observation_size]) for rows in (first, later))
+        if not np.allclose(one, other, rtol=_TOLERANCE, atol=_TOLERANCE, equal_nan=True):
             raise self._forgetful("an episode")
 
     def _forgetful(self, what: str) -> Unplayable:
@@ -105,12 +105,9 @@ class OfficialWalkers:
 
     def _row(self, seen: Any, reward: Any, terminated: bool, truncated: bool) -> np.ndarray:
         if np.shape(seen) != (self.observation_size,):
-            space = (self.observation_size,)
-            raise Unplayable(
-                self._env_id,
-                f"an observation has shape {np.shape(seen)}: its space says {space}",
-            )
-        return np.array([*seen, reward, terminated, truncated], np.float64)
+            told = f"its space says {(self.observation_size,)}"
+            raise Unplayable(self._env_id, f"an observation has shape {np.shape(seen)}: {told}")
+        return np.array([*seen, np.asarray(reward).item(), terminated, truncated], np.float64)
 
 
 def _make(env_id: str) -> gymnasium.Env:
