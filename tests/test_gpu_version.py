@@ -13,7 +13,6 @@ from hitl_jax.walker import gpu
 from hitl_jax.walker.gpu import kernel
 
 _LANES = 7
-"""A number that no other test has: JAX would give what it has traced for a CPU, or the reverse."""
 _RAN = """
     abs.f32 add.f32 add.s32 and.pred bra cvt.rmi.f32.f32 cvt.rni.f32.f32 cvta.to.global.u64
     div.rn.f32 div.s32 ld.global.f32 ld.global.s32 ld.global.u8 ld.param.u64 mad.lo.s32
@@ -25,6 +24,14 @@ _RAN = """
 """
 """Instructions of the kernels that ran on an H100."""
 _NEVER_RAN = {"and.b32", "cvt.rzi.s32.f32", "shfl.sync.bfly.b32", "vote.sync.any.pred"}
+
+
+@pytest.fixture(autouse=True)
+def _forget():
+    """What was traced for a GPU is no program for a CPU, nor the reverse."""
+    jax.clear_caches()
+    yield
+    jax.clear_caches()
 
 
 def _traced(version, monkeypatch):

@@ -114,22 +114,22 @@ def test_no_program_with_a_walker_has_wide_numbers(wide):
         told = jax.eval_shape(walker.step, one, jnp.zeros(4))[1]
         assert told.observation.dtype == told.reward.dtype == jnp.float32
     walkers = jax.eval_shape(lambda: jax_pool._made(jnp.zeros(16, jnp.uint32), False))
-    some = jax.eval_shape(lambda: batch.empty_acting(agent, 2, jax.devices()[0]))
+    some = jax.eval_shape(lambda: batch.empty_acting(agent, 16, jax.devices()[0]))
     params = jax.eval_shape(
         lambda: jax.vmap(lambda key: agents.behavior(agents.init(agent, key)))(
-            jax.random.split(make_key(0), 2)
+            jax.random.split(make_key(0), 16)
         )
     )
-    left = np.ones(2, np.int32)
-    begin = Moment(np.ones(2, bool), np.ones(2, bool), left, np.zeros((2, 24), np.float32))
-    others = begin, np.zeros((2, 5), np.uint32), left, np.ones(2, bool)
+    left, yes = np.ones(16, np.int32), np.ones(16, bool)
+    begin = Moment(yes, yes, left, np.zeros((16, 24), np.float32))
+    others = begin, np.zeros((16, 5), np.uint32), left, yes
     play = functools.partial(device_stage._play, agent, 4)
     assert _wide_floats(play, some.state, some.hyper, walkers, params, *others) == []
 
 
 def _played():
     specs = [
-        RunSpec(m, 3, hyper_for(m, Hyper(warmup_steps=64, initial_boundary=0.5)), 4, (2,))
+        RunSpec(m, 3, hyper_for(m, Hyper(warmup_steps=64, initial_boundary=0.5)), 8, (2,))
         for m in (Method.SRL, Method.HITL_AC)
     ]
     agent = agents.make_agent(small.AGENT)
@@ -190,7 +190,6 @@ def test_small_functions_keep_their_types(wide):
         ("jax_enable_x64", True),
         ("jax_default_prng_impl", "rbg"),
         ("jax_default_matmul_precision", "bfloat16"),
-        ("jax_threefry_partitionable", False),
     ],
 )
 def test_keys_and_first_parameters_are_the_same(name, value):
