@@ -1,7 +1,7 @@
 """Keys of runs: JAX's Threefry, whatever generator the user's configuration makes the default.
 
-`jax_threefry_partitionable`, an option that JAX keeps for the numbers of old programs, still decides
-what is drawn: runs are those of its default, true.
+`jax_threefry_partitionable`, an option that JAX keeps for the numbers of old programs, still
+decides what is drawn: runs are those of its default, true.
 """
 
 import chex
