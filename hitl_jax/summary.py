@@ -161,8 +161,8 @@ def summarise_run(run: Run) -> Row:
         "assisted_takeover_rate": _ratio(assisted["human_steps"], assisted["length"]),
         "assisted_interventions_per_episode": _value(np.mean, assisted["interventions"]),
         # What a run that diverged spared its human is no merit.
-        "train_interventions": None if run.diverged else int(episodes["interventions"].sum()),
-        "train_human_steps": None if run.diverged else int(episodes["human_steps"].sum()),
+        "train_interventions": None if run.diverged else episodes["interventions"].sum().item(),
+        "train_human_steps": None if run.diverged else episodes["human_steps"].sum().item(),
         "alarm_agreement": _ratio(
             episodes["true_alarms"], episodes["true_alarms"] + episodes["false_alarms"]
         ),
@@ -173,9 +173,16 @@ def summarise_run(run: Run) -> Row:
     for mark in THRESHOLDS:
         passage = stats.first_passage(trailing, mark, WINDOW)
         row[f"episodes_to_{mark}"] = passage
-        row[f"steps_to_{mark}"] = passage and int(episodes["env_steps"][int(passage) - 1])
+        row[f"steps_to_{mark}"] = steps_at(episodes, passage)
     row |= _alarms_before_falls(autonomous)
     return {name: row[name] for name in SUMMARY_COLUMNS}
+
+
+def steps_at(episodes: Table, passage: float | None) -> float | None:
+    """Environment steps at the end of the episode of a first passage; None or NaN as that is."""
+    if passage is None or np.isnan(passage):
+        return passage
+    return int(episodes["env_steps"][int(passage) - 1])
 
 
 def _alarms_before_falls(autonomous: Table) -> Row:

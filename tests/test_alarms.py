@@ -50,3 +50,13 @@ def test_a_damaged_table_is_one_line(tmp_path):
     (folder.path / alarm_figure.DATA).write_text("method,seed\nsrl,0\n")
     with pytest.raises(ResultsError, match=r"alarms.csv: damaged: the header is not method,seed"):
         alarm_figure.draw(folder)
+
+
+def test_what_is_not_known_is_not_counted():
+    told = count_alarms(np.array([0.6, 0.1]), fell=True, boundaries=np.array([0.5, np.nan]))
+    for counts in (told.alarms, told.timely_alarms, told.warned_falls):
+        np.testing.assert_array_equal(counts, [1.0, np.nan])
+    unseen = count_alarms(np.array([0.6, np.nan]), fell=False, boundaries=_TAUS)
+    assert np.isnan(unseen.alarms).all()
+    assert np.isnan(total([told._replace(alarms=np.zeros(3)), unseen]).alarms).all()
+    assert (unseen.steps, unseen.falls) == (2, 0)

@@ -49,3 +49,14 @@ def test_over_steps_interpolates_between_ends_of_episodes():
     assert (curve.x[0], curve.x[-1]) == (0.0, 200.0)
     # Until the first end 10, then the line through (100, 10) and (200, 30).
     np.testing.assert_allclose(curve.centre, np.maximum(10.0, 10.0 + 0.2 * (curve.x - 100.0)))
+
+
+def test_nan_stays_nan():
+    values = [np.array([1.0, np.nan, 3.0, 4.0]), np.arange(4.0)]
+    curve = over_episodes(values, 1, rng())
+    for line in (curve.centre, curve.low, curve.high):
+        assert np.isnan(line).tolist() == [False, True, False, False]
+    steps = [np.array([10.0, 20.0, 30.0, 40.0])] * 2
+    curve = over_steps(steps, values, 1, rng())
+    assert np.isnan(curve.centre).tolist() == np.isnan(curve.low).tolist()
+    assert np.isnan(curve.centre[(curve.x > 10) & (curve.x < 30)]).all()

@@ -194,3 +194,43 @@ def test_what_is_committed_is_what_the_data_give(tmp_path, monkeypatch):
 def test_a_folder_without_results_is_refused(folder, capsys):
     assert run_main("report", report.main, ["--results", folder]) == 2
     assert capsys.readouterr().err == f"error: --results {folder}: holds no results\n"
+
+
+@pytest.mark.parametrize("who", ["srl", "fix", "ac"])
+def test_a_claim_about_what_is_no_number_is_not_decided(who):
+    runs = {
+        "srl": [{"rises_at": 600, "test_return": 200.0 + seed} for seed in range(5)],
+        "fix": [{"rises_at": 400, "test_return": 280.0 + seed} for seed in range(5)],
+        "ac": [{"rises_at": 250, "test_return": 310.0 + seed} for seed in range(5)],
+    }
+    made = {
+        method: [_run(method, seed, **kwargs) for seed, kwargs in enumerate(runs[name])]
+        for method, name in (("srl", "srl"), ("hitl-fix", "fix"), ("hitl-ac", "ac"))
+    }
+    [lost, *_] = made[{"srl": "srl", "fix": "hitl-fix", "ac": "hitl-ac"}[who]]
+    # A table refuses these: no file could bring them.
+    lost.tests["return"][:] = np.nan
+    lost.episodes["return"][100:] = np.nan
+    lost.episodes["interventions"] = np.full(1000, np.nan)
+    lost.episodes["final_boundary"][-1] = np.nan
+    claims = {claim.name: claim.verdict for claim in judge(Results(made, tolerance=0.45))}
+    concerned = ["Training speed (Figure 4)", "Skill without the human (Figure 5)"]
+    concerned += ["Training speed over environment steps"] * (who != "fix")
+    if who == "ac":
+        concerned += ["The boundary (Figure 6)", "The human's work falls", "Help in the test"]
+    assert {claims[name] for name in concerned} == {UNDECIDED}
+    assert claims["How sure that order is"] == UNDECIDED
+
+
+@pytest.mark.parametrize("measure", ["test_return_mean", "alarm_agreement", "train_interventions"])
+@pytest.mark.parametrize("whose", ["fixed", "learned"])
+def test_claims_about_tau_0_without_a_number_are_not_decided(measure, whose):
+    made = {
+        "fixed": _starts(low=(100.0, 200.0), high=(250.0, 100.0)),
+        "learned": _starts(low=(300.0, 50.0), high=(290.0, 50.0)),
+    }
+    made[whose]["low"][3][measure] = None
+    made[whose]["high"][3][measure] = float("nan")
+    verdicts = [claim.verdict for claim in judge_starts(**made, default="low")]
+    assert verdicts[2] == UNDECIDED
+    assert verdicts[:2] == [UNDECIDED if measure == "test_return_mean" else HOLDS] * 2

@@ -134,3 +134,38 @@ def test_first_passage_needs_a_full_window():
     assert first_passage(trailing, 101.0, 3) is None
     assert first_passage(trailing[:2], 0.0, 3) is None
     assert first_passage(trailing[3:], 20.0, 1) == 2
+
+
+@pytest.mark.parametrize(
+    ("x", "y"),
+    [
+        ([np.nan, np.nan], [np.nan, np.nan]),
+        ([np.nan, 1.0], [0.0, 0.0]),
+        ([1.0, 1.0], [0.0, np.nan]),
+        ([1.0] * 200, [0.0] * 199 + [np.nan]),
+        ([np.nan], [0.0]),
+    ],
+)
+def test_a_score_that_is_no_number_neither_wins_nor_loses(x, y):
+    told = probability_of_improvement(np.array(x), np.array(y), rng())
+    assert np.isnan(told).all()
+
+
+@pytest.mark.parametrize("statistic", [mean, interquartile_mean])
+def test_nan_stays_nan_in_an_interval(statistic):
+    values = np.arange(12.0).reshape(4, 3)
+    values[2, 1] = np.nan
+    low, high = bootstrap_interval(values, statistic, rng())
+    assert np.isnan(low).tolist() == np.isnan(high).tolist() == [False, True, False]
+    # Also where no resample happens to draw it.
+    assert np.isnan(bootstrap_interval(np.r_[values[:, 1], np.zeros(96)], mean, rng(), 1)).all()
+
+
+def test_nan_stays_nan_in_a_trailing_mean_and_a_passage():
+    trailing = trailing_mean(np.array([1.0, np.nan, 3.0, 3.0, 3.0]), 2)
+    np.testing.assert_array_equal(trailing, [1.0, np.nan, np.nan, 3.0, 3.0])
+    assert np.isnan(first_passage(trailing, 3.0, 2))
+    # What was passed before is known.
+    assert first_passage(np.array([0.0, 5.0, np.nan]), 5.0, 1) == 2
+    assert first_passage(np.array([np.nan, 5.0]), 5.0, 2) == 2  # its window was not full
+    assert np.isnan(first_passage(np.array([0.0, np.nan]), 5.0, 1))

@@ -8,7 +8,7 @@ import pytest
 
 from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey
-from hitl_jax.summary import SUMMARY_COLUMNS, summarise, write_summary
+from hitl_jax.summary import SUMMARY_COLUMNS, summarise, summarise_run, write_summary
 from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
 
 INFO = {"config": {}, "versions": {}, "commit": None, "env_steps": 1, "updates": 1}
@@ -171,3 +171,27 @@ def test_a_mark_reached_by_few_seeds_has_no_median(folder):
         save(folder, seed=seed, returns=np.zeros(120))
     write_summary(folder, rng())
     assert "| 100 | 1 of 3 seeds |" in (folder.path / "summary.md").read_text()
+
+
+def test_nan_stays_nan_in_the_measures(folder):
+    save(folder)
+    [run] = folder.load_all()
+    run.tests["return"][0] = np.nan  # A table refuses it: no file could bring it.
+    row = summarise_run(run)
+    assert np.isnan(row["test_return_mean"])
+    run.episodes["return"][-1] = np.nan
+    row = summarise_run(run)
+    assert np.isnan(row["final_return_100"])
+    assert np.isnan(row["best_return_100"])
+
+
+def test_test_episodes_that_were_not_finite_are_named(folder):
+    save(folder)
+    path = folder.path / "runs/hitl-ac/seed-0000/run.json"
+    path.write_text(path.read_text().replace("{", '{"lost_tests": 2,', 1))
+    save(folder, seed=1)
+    write_summary(folder, rng())
+    assert (
+        "- hitl-ac: seeds finished 2, under way 0; test episodes with numbers that are not finite, "
+        "counted as falls: seed 0 has 2\n"
+    ) in (folder.path / "summary.md").read_text()

@@ -12,7 +12,13 @@ import numpy as np
 
 from hitl_jax import stats
 from hitl_jax.results import Run
-from hitl_jax.summary import STEPS_PER_SECOND, WINDOW, skill_over_training, summarise_run
+from hitl_jax.summary import (
+    STEPS_PER_SECOND,
+    WINDOW,
+    skill_over_training,
+    steps_at,
+    summarise_run,
+)
 from hitl_jax.tables import METHODS, select
 
 RESAMPLES = 2000
@@ -219,12 +225,13 @@ def _boundary(results: Results, rng: np.random.Generator) -> Claim:
         if settled[-1] > len(trace):
             settled[-1] = np.inf
     near = np.abs(np.array(ends) - results.tolerance) <= _NEAR
+    least, most = np.min(ends), np.max(ends)
     return Claim(
         "The boundary (Figure 6)",
         "a learned trend beside the reward",
         f"for every seed, within {_NEAR} rad of the human's own threshold of "
         f"{results.tolerance:g} rad at the end of training",
-        f"{near.sum()} of {near.size} seeds, from {min(ends):.3f} to {max(ends):.3f} rad; within "
+        f"{near.sum()} of {near.size} seeds, from {least:.3f} to {most:.3f} rad; within "
         f"{_SETTLED} rad for good from episode {_episode(np.median(settled))} on by the median "
         f"({_episode(min(settled))} to {_episode(max(settled))})",
         UNDECIDED if np.isnan(ends).any() else HOLDS if near.all() else HOLDS_NOT,
@@ -295,7 +302,8 @@ def _trailing_returns(run: Run) -> np.ndarray:
 
 def _steps_until_it_walks(run: Run) -> float:
     episode = stats.first_passage(_trailing_returns(run), _WALKS, WINDOW)
-    return np.inf if episode is None else float(run.episodes["env_steps"][int(episode) - 1])
+    steps = steps_at(run.episodes, episode)
+    return np.inf if steps is None else float(steps)
 
 
 def _passage(curves: np.ndarray) -> float:
