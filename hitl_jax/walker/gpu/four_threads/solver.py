@@ -1,4 +1,4 @@
-"""The solver's rounds with a thread for each part of the legs, as a GPU makes them.
+"""The solver's rounds with a thread for each part of the legs; not run on a GPU yet.
 
 Few walkers leave most of a GPU idle: a step takes as long as one thread takes for its instructions,
 one after the other. Here four threads share a walker's. Each has the contacts of its own part and,
