@@ -239,6 +239,17 @@ def test_pause_step_and_speed(served):
         assert not quick["paused"]
 
 
+def _at_rest(session):
+    """The frame at which the session stops, soon."""
+    deadline = time.monotonic() + 10.0
+    before = None
+    while (now := session.frame.number) != before:
+        assert time.monotonic() < deadline, "it does not stop"
+        before = now
+        time.sleep(0.3)
+    return now
+
+
 def test_one_controls_and_others_watch(served):
     with served.open() as first, served.open() as second:
         assert _until(second, "hello")["role"] == "watcher"
@@ -248,10 +259,7 @@ def test_one_controls_and_others_watch(served):
         assert "somebody else controls" in _until(second, "error")["message"]
         assert _until(first, "status", lambda m: m["watchers"] == 1)["paused"] is False
     # Who left and comes again has the controls again, and it goes on.
-    time.sleep(0.2)
-    held = served.session.frame.number
-    time.sleep(0.2)
-    assert served.session.frame.number == held
+    held = _at_rest(served.session)
     with served.open() as page:
         hello = _until(page, "hello")
         assert hello["role"] == "controller"
