@@ -257,7 +257,8 @@ def test_one_controls_and_others_watch(served):
         _until(second, "frame", lambda m: m["n"] > 3)
         _say(second, "pause", on=True)
         assert "somebody else controls" in _until(second, "error")["message"]
-        assert _until(first, "status", lambda m: m["watchers"] == 1)["paused"] is False
+        assert served.said() == []
+        _until(first, "status", lambda m: m["watchers"] == 1 and not m["paused"])
     # Who left and comes again has the controls again, and it goes on.
     held = _at_rest(served.session)
     with served.open() as page:
