@@ -10,14 +10,22 @@ import pytest
 _MOST_SECONDS = 30.0
 
 _SCRIPT = """
-import json, sys
+import json, sys, threading, time
 import jax
 from hitl_jax.__main__ import main
-took = {}
+took, clocks = {}, []
+def look():
+    while True:
+        clocks.append((time.monotonic(), time.process_time()))
+        time.sleep(0.05)
+threading.Thread(target=look, daemon=True).start()
 def note(event, seconds, fun_name="?", **_):
     if event.endswith("/backend_compile_duration"):
+        start = time.monotonic() - seconds
+        at_work = time.process_time() - max(one for one in clocks if one[0] <= start)[1]
         name = fun_name.removeprefix("jit(").removesuffix(")")  # As newer versions tell it.
-        took[name] = max(seconds, took.get(name, 0.0))
+        # Other tests may hold the cores: what it would have taken without them.
+        took[name] = max(min(seconds, at_work), took.get(name, 0.0))
 jax.monitoring.register_event_duration_secs_listener(note)
 """
 
