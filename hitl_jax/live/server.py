@@ -182,6 +182,7 @@ class Live:
             self._app(),
             log_level="warning",
             lifespan="off",
+            ws="websockets-sansio",  # the default of older releases is deprecated
             ws_max_size=LONGEST_MESSAGE,
             timeout_graceful_shutdown=1,
         )
