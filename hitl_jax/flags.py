@@ -13,8 +13,8 @@ def have_loops_in_one_kernel() -> None:
     round: that takes a quarter of the time with 512 walkers, and half with 256. XLA does it by
     itself where a loop is over a kilobyte at most. The learner's programs stay as they are, and so
     does a loop with a scatter, as that over a chunk's ticks has (`device_stage`), so that acting
-    rounds there as in the host's loop. Where XLA_FLAGS has options of this kind
-    already, nothing is done.
+    rounds there as in the host's loop. Where XLA_FLAGS has options of this kind already, nothing is
+    done.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_backend_extra_options" not in flags:
