@@ -1,13 +1,8 @@
 """A flag of XLA's that makes walkers of `hitl_jax.walker` faster on a CPU."""
 
-import importlib.metadata
 import os
 
 _ANY_SIZE = "xla_cpu_small_while_loop_byte_threshold=1000000000"
-
-SINCE = (0, 10, 1)
-"""Before this version of JAX, XLA makes one kernel of a learner's loop, too: its products are ten
-times slower, and of some there is no such kernel at all."""
 
 
 def have_loops_in_one_kernel() -> None:
@@ -18,10 +13,9 @@ def have_loops_in_one_kernel() -> None:
     round: that takes a quarter of the time with 512 walkers, and half with 256. XLA does it by
     itself where a loop is over a kilobyte at most. The learner's programs stay as they are, and so
     does a loop with a scatter, as that over a chunk's ticks has (`device_stage`), so that acting
-    rounds there as in the host's loop. Nothing is done where XLA_FLAGS has options of this kind
-    already, or with a JAX older than `SINCE`.
+    rounds there as in the host's loop. Where XLA_FLAGS has options of this kind already, nothing is
+    done.
     """
-    version = tuple(map(int, importlib.metadata.version("jax").split(".")[:3]))
     flags = os.environ.get("XLA_FLAGS", "")
-    if version >= SINCE and "xla_backend_extra_options" not in flags:
+    if "xla_backend_extra_options" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={_ANY_SIZE}".strip()

@@ -58,5 +58,5 @@ def test_what_is_not_known_is_not_counted():
         np.testing.assert_array_equal(counts, [1.0, np.nan])
     unseen = count_alarms(np.array([0.6, np.nan]), fell=False, boundaries=_TAUS)
     assert np.isnan(unseen.alarms).all()
-    assert np.isnan(total([told._replace(alarms=np.zeros(3)), unseen]).alarms).all()
+    assert np.isnan(total([unseen._replace(alarms=np.zeros(3)), unseen]).alarms).all()
     assert (unseen.steps, unseen.falls) == (2, 0)
