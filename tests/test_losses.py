@@ -69,8 +69,9 @@ class LossesTest(chex.TestCase):
         target = self.variant(lambda r, d, q: losses.target_quantiles(r, d, q, num_dropped=2))(
             _BATCH.reward, _BATCH.discount, quantiles
         )
-        # 1 + 0.5 z, 9 and 3 left out; the second step terminated, and 6 and 4 are left out.
-        np.testing.assert_allclose(target.value.T, [[1.5, 5.5, 2.0, 2.5], [-1.0] * 4])
+        # 1 + 0.5 z, 9 and 3 left out, as if they were 0; the second step terminated, and 6 and 4
+        # are left out.
+        np.testing.assert_allclose(target.value.T, [[1.5, 1.0, 2.0, 1.0], [-1.0] * 4])
         np.testing.assert_allclose(target.weight.T, [[0.5, 0, 0.5, 0], [0.5, 0.5, 0, 0]])
 
     def test_equal_target_quantiles_are_not_all_left_out(self):
