@@ -204,7 +204,9 @@ def mistaken() -> HumanPart:
         params: HumanParams, observation: chex.Array, dangerous: chex.Array, key: chex.PRNGKey
     ) -> chex.Array:
         del observation
-        return jnp.logical_xor(dangerous, jax.random.bernoulli(key, params.mistake_rate))
+        return jnp.logical_xor(
+            dangerous, jax.random.bernoulli(key, jnp.float32(params.mistake_rate))
+        )
 
     return _memoryless(rule)
 
@@ -216,7 +218,7 @@ def lapsing() -> HumanPart:
         params: HumanParams, observation: chex.Array, dangerous: chex.Array, key: chex.PRNGKey
     ) -> chex.Array:
         del observation
-        lapse = jax.random.bernoulli(key, params.lapse_rate)
+        lapse = jax.random.bernoulli(key, jnp.float32(params.lapse_rate))
         return jnp.logical_and(dangerous, jnp.logical_not(lapse))
 
     return _memoryless(rule)

@@ -137,6 +137,7 @@ def add(replay: Replay, frames: chex.Array) -> Replay:
     chex.assert_shape(frames, (num_runs, count, split + replay.outcome.shape[2]))
     if capacity % count:
         raise ValueError(f"capacity {capacity} is no multiple of the {count} frames of one write")
+    frames = jnp.asarray(frames, jnp.float32)
     at = (jnp.int32(0), replay.cursor % capacity, jnp.int32(0))
     return Replay(
         seen=jax.lax.dynamic_update_slice(replay.seen, frames[..., :split], at),
@@ -224,7 +225,7 @@ def draw(
     Returns:
         Draws, leaves [B].
     """
-    capacity = replay.seen.shape[1]
+    capacity, gamma = replay.seen.shape[1], jnp.asarray(gamma, jnp.float32)
     begin = _starts(replay, layout, column, key, batch_size, n_step)
     window = (begin[:, None] + jnp.arange(n_step, dtype=jnp.int32)) % capacity
     reward, terminated, truncated = (

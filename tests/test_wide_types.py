@@ -54,8 +54,12 @@ def _with(name, value, function):
 
 def _wide_floats(function, *args):
     """Types of 64 bits in a program: of any number that is not whole, and of what it gives."""
+    seen = set()
 
     def of(jaxpr):
+        if id(jaxpr) in seen:
+            return
+        seen.add(id(jaxpr))
         for equation in jaxpr.eqns:
             yield from (var.aval for var in equation.outvars)
             for value in jax.tree.leaves(
@@ -85,8 +89,9 @@ def _same(one, other):
         assert (data(a).dtype, data(a).tobytes()) == (data(b).dtype, data(b).tobytes())
 
 
-@pytest.mark.parametrize("config", _TEAMS)
-@pytest.mark.parametrize("hyper", [RunHyper(), typed(RunHyper())], ids=["plain", "typed"])
+@pytest.mark.parametrize(
+    ("config", "hyper"), zip(_TEAMS, (RunHyper(), typed(RunHyper()), RunHyper()), strict=True)
+)
 def test_no_program_of_a_team_has_wide_numbers(config, hyper, wide):
     agent, key = agents.make_agent(config), make_key(0)
     train = jax.eval_shape(functools.partial(agents.init, agent), key)
@@ -129,7 +134,7 @@ def test_no_program_with_a_walker_has_wide_numbers(wide):
 
 def _played():
     specs = [
-        RunSpec(m, 3, hyper_for(m, Hyper(warmup_steps=64, initial_boundary=0.5)), 8, (2,))
+        RunSpec(m, 3, hyper_for(m, Hyper(warmup_steps=32, initial_boundary=0.5)), 10, (2,))
         for m in (Method.SRL, Method.HITL_AC)
     ]
     agent = agents.make_agent(small.AGENT)
@@ -166,6 +171,19 @@ def test_an_update_of_a_callers_own_arrays_is_the_same(learner):
     _same(updated(), _with("jax_enable_x64", True, updated))
 
 
+@pytest.mark.parametrize("part", [human.mistaken, human.lapsing])
+def test_a_human_errs_at_the_same_steps(part):
+    params = human.HumanParams(mistake_rate=0.5, lapse_rate=0.5)
+
+    def judged():
+        judge = functools.partial(part().judge, (), params, None, jnp.array(True))
+        return [bool(judge(make_key(seed))[1]) for seed in range(20)]
+
+    told = judged()
+    assert {True, False} == set(told)
+    assert _with("jax_enable_x64", True, judged) == told
+
+
 @pytest.mark.parametrize("rough", [False, True])
 def test_terrain_is_the_same(rough):
     def drawn():
@@ -179,6 +197,10 @@ def test_small_functions_keep_their_types(wide):
     given = losses.target_quantiles(f(4), f(4), f((2, 4, 3)), num_dropped=1)
     assert {leaf.dtype for leaf in given} == {jnp.dtype("float32")}
     assert human.outcome_dangerous(jnp.array([False, True]), 2).tolist() == [True, True]
+    layout = replay.Layout(1, 1)
+    memory = replay.add(replay.init(8, 1, layout), jnp.ones((1, 8, layout.width)))
+    drawn = replay.draw(memory, layout, 0, make_key(0), 4, 2, 0.9)
+    assert {leaf.dtype.itemsize for leaf in jax.tree.leaves((memory, drawn))} == {4}
     state = acting.init_acting(agents.make_agent(AgentConfig()), RunHyper(), make_key(0))
     assert not [leaf.dtype for leaf in jax.tree.leaves(state) if "64" in str(leaf.dtype)]
     assert evaluation.terrain_seeds(_spec(), 3).dtype == np.uint32
