@@ -90,7 +90,7 @@ def _same(one, other):
 
 
 @pytest.mark.parametrize(
-    ("config", "hyper"), zip(_TEAMS, (RunHyper(), typed(RunHyper()), RunHyper()), strict=True)
+    ("config", "hyper"), list(zip(_TEAMS, (RunHyper(), typed(RunHyper()), RunHyper()), strict=True))
 )
 def test_no_program_of_a_team_has_wide_numbers(config, hyper, wide):
     agent, key = agents.make_agent(config), make_key(0)
