@@ -50,6 +50,7 @@ def main(words: Sequence[str] | None = None) -> int:
         return 2
     from hitl_jax.commands.cli import run_main
 
+    sys.argv[1:] = options  # A folder of results keeps the command that made it.
     module = importlib.import_module(f"hitl_jax.commands.{_COMMANDS[name][0]}")
     return run_main(name, module.main, options)
 
