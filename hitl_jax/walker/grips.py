@@ -132,14 +132,6 @@ def _sign(manifold: Manifold) -> jax.Array:
     return jnp.where(manifold.on_edge, 1.0, jnp.float32(-1.0))
 
 
-def _at(grips: Grips, slot: int) -> Grips:
-    def take(tree: Tree) -> Tree:
-        result: Tree = jax.tree.map(lambda leaf: leaf[slot], tree)
-        return result
-
-    return Grips(grips.weight, take(grips.points), take(grips.matrix), take(grips.inverse))
-
-
 def _push(
     speeds: Speeds, weight: Weight, point: Point, normal: jax.Array, along: jax.Array
 ) -> Speeds:
@@ -182,15 +174,15 @@ def begin(grips: Grips, contacts: Contacts) -> tuple[Pair, Pair]:
 
 def warm(speeds: Speeds, grips: Grips, normals: Pair, alongs: Pair) -> Speeds:
     """Velocities after the impulses to begin with."""
-    for slot in range(normals[0].shape[0]):
-        here = _at(grips, slot)
-        for point, normal, along in zip(here.points, normals, alongs, strict=True):
-            speeds = _push(speeds, here.weight, point, normal[slot], along[slot])
+    still = jax.tree.map(jnp.zeros_like, speeds)
+    for point, normal, along in zip(grips.points, normals, alongs, strict=True):
+        pushed = _push(still, grips.weight, point, normal, along)
+        speeds = jax.tree.map(lambda speed, of_slots: speed + of_slots.sum(0), speeds, pushed)
     return speeds
 
 
 def velocity_round(
-    speeds: Speeds, grips: Grips, normal: Pair, along: Pair
+    speeds: Speeds, grips: Grips, normal: Pair, along: Pair, unroll: bool = False
 ) -> tuple[Speeds, Pair, Pair]:
     """One round over the contacts.
 
@@ -199,28 +191,25 @@ def velocity_round(
         grips: the contacts.
         normal: impulses along the normals so far.
         along: impulses of friction so far.
+        unroll: static; a larger program, and on a CPU a faster one.
 
     Returns:
-        All three after it.
+        Velocities and both kinds of impulses after it.
     """
-    normals, alongs = [], []
-    for slot in range(normal[0].shape[0]):
-        here = _at(grips, slot)
-        before = speeds, (normal[0][slot], normal[1][slot]), (along[0][slot], along[1][slot])
+
+    def one(speeds: Speeds, slot: tuple) -> tuple[Speeds, tuple[Pair, Pair]]:
+        seen, *before = slot
+        here = Grips(grips.weight, *seen)
         if gpu.uses_four_threads():  # A thread goes by where it has no contact.
             there = (here.points[0].mass > 0) | (here.points[1].mass > 0)
-            after = jax.lax.cond(there.any(), _solve, lambda _, *same: same, here, *before)
+            after = jax.lax.cond(there.any(), _solve, lambda _, *same: same, here, speeds, *before)
         else:
-            after = _solve(here, *before)
-        speeds, new_normal, new_along = after
-        normals.append(new_normal)
-        alongs.append(new_along)
-    stack = jnp.stack
-    return (
-        speeds,
-        (stack([n[0] for n in normals]), stack([n[1] for n in normals])),
-        (stack([a[0] for a in alongs]), stack([a[1] for a in alongs])),
-    )
+            after = _solve(here, speeds, *before)
+        return after[0], after[1:]
+
+    slots = (grips.points, grips.matrix, grips.inverse), normal, along
+    speeds, impulses = jax.lax.scan(one, speeds, slots, unroll=unroll)
+    return speeds, *impulses
 
 
 def _solve(grip: Grips, speeds: Speeds, normal: Pair, along: Pair) -> tuple[Speeds, Pair, Pair]:
@@ -278,12 +267,14 @@ def position_round(
     Returns:
         Places and turns after it, and the least distance met, at most 0 [m], [parts, B].
     """
-    carry = place, turn, jnp.zeros_like(turn)
-    for slot in range(manifold.edge.shape[0]):
-        here: Manifold = jax.tree.map(lambda leaf, slot=slot: leaf[slot], manifold)
-        carry = jax.lax.cond(
+
+    def one(carry: tuple, here: Manifold) -> tuple[tuple, None]:
+        after = jax.lax.cond(
             here.touching.any(), _lift, lambda carry, *_: carry, carry, here, weight, firmness
         )
+        return after, None
+
+    carry, _ = jax.lax.scan(one, (place, turn, jnp.zeros_like(turn)), manifold)
     return carry
 
 

@@ -95,17 +95,11 @@ def lidar(terrain: Terrain, place: Vec) -> jax.Array:
         Shares [10, B], 1 where a ray meets nothing.
     """
     index = _first(place.x) - 1 + jnp.arange(_WINDOW, dtype=jnp.int32)[:, None]
-    shares = _shares(_edges(terrain.heights, index), place)
+    kinds = [_edges(terrain.heights, index)]
     boxes = _boxes(terrain.boxes, index)
-    if boxes is None:
-        return shares
-    for sides in boxes.sides():
-        shares = jnp.minimum(shares, _shares(sides, place))
-    return shares
-
-
-def _shares(edges: Edges, place: Vec) -> jax.Array:
-    """How far the rays get to edges, from left to right."""
+    if boxes is not None:
+        kinds += boxes.sides()
+    edges: Edges = jax.tree.map(lambda *leaves: jnp.stack(leaves, 1), *kinds)
     along = edges.end - edges.start
     square = dot(along, along)
     normal = tangent(along)
@@ -118,5 +112,5 @@ def _shares(edges: Edges, place: Vec) -> jax.Array:
         share = above[:span] / dot(normal[:span], ray)
         on_edge = dot(ray * share - away[:span], along[:span])
         met = (share >= 0) & (share <= 1) & (on_edge >= 0) & (on_edge <= square[:span])
-        shares.append(jnp.where(met & edges.exist[:span], share, 1.0).min(0))
+        shares.append(jnp.where(met & edges.exist[:span], share, 1.0).min((0, 1)))
     return jnp.stack(shares)

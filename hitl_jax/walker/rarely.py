@@ -1,9 +1,11 @@
 """Work that only few of a batch need."""
 
 import functools
+import math
 from collections.abc import Callable
 from typing import TypeVar
 
+import chex
 import jax
 import jax.numpy as jnp
 
@@ -12,6 +14,7 @@ from hitl_jax.walker.gpu.kernel import as_kernel
 
 Tree = TypeVar("Tree")
 Other = TypeVar("Other")
+_Rows = dict[str, jax.Array]
 
 _WIDTH = 8
 """So many are worked on at a time, whatever the batch: XLA would round otherwise with others."""
@@ -32,7 +35,7 @@ def rarely(
         needed: for whom, bool [B].
         work: from a state and a context to the state after; their last axis is a batch of any size.
         state: last axis B.
-        context: last axis B.
+        context: last axis B, or 1.
         parts: as in `as_kernel`.
 
     Returns:
@@ -41,26 +44,58 @@ def rarely(
     if gpu.on_gpu():
         needed = jnp.broadcast_to(needed, (*parts, *needed.shape))
         return as_kernel(functools.partial(where_needed, work), parts)(needed, state, context)
+    return jax.lax.cond(
+        needed.any(),
+        functools.partial(_some_at_a_time, work),
+        lambda _, state, __: state,
+        *(needed, state, context),
+    )
+
+
+def _some_at_a_time(
+    work: Callable[[Tree, Other], Tree], needed: jax.Array, state: Tree, context: Other
+) -> Tree:
     batch = needed.shape[0]
     width = min(_WIDTH, batch)
     # Places past the end are of none: read as the last, never written.
     order = jnp.nonzero(needed, size=batch + width, fill_value=batch)[0].astype(jnp.int32)
     count = needed.sum(dtype=jnp.int32)
 
-    def some(carry: tuple[jax.Array, Tree]) -> tuple[jax.Array, Tree]:
-        begin, state = carry
+    def some(carry: tuple[jax.Array, _Rows]) -> tuple[jax.Array, _Rows]:
+        begin, rows = carry
         lanes = jax.lax.dynamic_slice(order, (begin,), (width,))
         taken, beside = jax.tree.map(
-            lambda leaf: jnp.take(leaf, lanes, axis=-1, mode="clip"), (state, context)
+            lambda leaf: jnp.take(leaf, lanes, axis=-1, mode="clip"), (rows, context)
         )
-        done = work(taken, beside)
-        state = jax.tree.map(
-            lambda leaf, new: leaf.at[..., lanes].set(new, mode="drop"), state, done
-        )
-        return begin + width, state
+        done = _rows_of(work(_tree_of(state, taken), beside))
+        rows = {name: rows[name].at[:, lanes].set(done[name], mode="drop") for name in rows}
+        return begin + width, rows
 
-    _, state = jax.lax.while_loop(lambda carry: carry[0] < count, some, (jnp.int32(0), state))
-    return state
+    start = jnp.int32(0), _rows_of(state)
+    _, rows = jax.lax.while_loop(lambda carry: carry[0] < count, some, start)
+    return _tree_of(state, rows)
+
+
+def _rows_of(tree: chex.ArrayTree) -> _Rows:
+    """All leaves of each type as one array, [rows, B]: they are written at once."""
+    rows: dict[str, list[jax.Array]] = {}
+    for leaf in jax.tree.leaves(tree):
+        rows.setdefault(leaf.dtype.name, []).append(leaf.reshape(-1, leaf.shape[-1]))
+    return {name: jnp.concatenate(parts) for name, parts in rows.items()}
+
+
+def _tree_of(like: Tree, rows: _Rows) -> Tree:
+    """The tree of which `_rows_of` made the rows; `like` has its types, and its shapes but B."""
+    places = dict.fromkeys(rows, 0)
+
+    def next_of(leaf: jax.Array) -> jax.Array:
+        name, outer = leaf.dtype.name, leaf.shape[:-1]
+        begin = places[name]
+        places[name] += math.prod(outer)
+        return rows[name][begin : places[name]].reshape(*outer, -1)
+
+    result: Tree = jax.tree.map(next_of, like)
+    return result
 
 
 def where_needed(

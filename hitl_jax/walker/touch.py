@@ -8,6 +8,8 @@ an edge with no neighbours.
 """
 
 import dataclasses
+from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +18,8 @@ import numpy as np
 from hitl_jax.walker import parts
 from hitl_jax.walker.once import once
 from hitl_jax.walker.plane import Pose, Vec, dot, tangent, vec, where
+
+Tree = TypeVar("Tree")
 
 SKINS = 2 * parts.SKIN
 SLOTS = 4
@@ -239,6 +243,18 @@ def clip(
     return left, names, both | (first * second < 0), feature
 
 
+def _by_type(function: Callable[[jax.Array], jax.Array], tree: Tree) -> Tree:
+    """A function of arrays of one shape, done to all of one type as one stack: a small program."""
+    leaves, structure = jax.tree.flatten(tree)
+    results: dict[int, jax.Array] = {}
+    for dtype in {leaf.dtype: None for leaf in leaves}:
+        places = [place for place, leaf in enumerate(leaves) if leaf.dtype == dtype]
+        done = function(jnp.stack([leaves[place] for place in places]))
+        results |= zip(places, done, strict=True)
+    result: Tree = jax.tree.unflatten(structure, [results[place] for place in range(len(leaves))])
+    return result
+
+
 def forward(manifold: Manifold, leading: jax.Array | bool = False) -> Manifold:
     """Moves those that touch to the first slots, in the order in which they stand.
 
@@ -261,16 +277,16 @@ def forward(manifold: Manifold, leading: jax.Array | bool = False) -> Manifold:
         taken = taken + members.sum(0, dtype=jnp.int32)
     slot = once(slot)
 
-    def moved(leaf: jax.Array) -> jax.Array:
-        rows = []
-        for to in range(SLOTS):
-            row = leaf[-1]
-            for i in range(len(leaf) - 1):
-                row = jnp.where(slot[i] == to, leaf[i], row)
-            rows.append(row)
-        return jnp.stack(rows)
+    slots = jnp.arange(SLOTS, dtype=jnp.int32)[:, None, None]
 
-    return once(jax.tree.map(moved, manifold))
+    def moved(leaves: jax.Array) -> jax.Array:
+        *rows, last = (leaves[:, i, None] for i in range(leaves.shape[1]))
+        result = jnp.broadcast_to(last, (len(leaves), SLOTS, *slot.shape[1:]))
+        for row, to in zip(rows, slot[:-1], strict=True):
+            result = jnp.where(to == slots, row, result)
+        return result
+
+    return once(_by_type(moved, manifold))
 
 
 @jax.tree_util.register_dataclass
@@ -337,13 +353,14 @@ def remember(old: Contacts, manifold: Manifold) -> Contacts:
 
 def _found(contacts: Contacts, index: jax.Array) -> Contacts:
     """Contacts in the slots of given edges; those of other edges are without a point."""
-    nothing = jax.tree.map(jnp.zeros_like, contacts)
-    found = dataclasses.replace(nothing, edge=index)
-    for shift in range(index.shape[0]):
-        rolled: Contacts = jax.tree.map(lambda leaf, by=shift: jnp.roll(leaf, by, 0), contacts)
-        same = rolled.edge == index
-        found = jax.tree.map(lambda new, old, at=same: jnp.where(at, new, old), rolled, found)
-    return found
+
+    def found(leaves: jax.Array) -> jax.Array:
+        result = jnp.zeros_like(leaves)
+        for slot in range(SLOTS):
+            result = jnp.where(contacts.edge[slot] == index, leaves[:, slot, None], result)
+        return result
+
+    return dataclasses.replace(_by_type(found, contacts), edge=index)
 
 
 def feet_after(feet: jax.Array, old: Contacts, new: Contacts) -> jax.Array:

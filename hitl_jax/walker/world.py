@@ -205,11 +205,11 @@ def _velocities(
     if gpu.on_gpu():
         motion = as_kernel(_either_rounds)(many, start, hinge, grip)
     else:
-        motion, _ = rarely(
+        motion = rarely(
             many,
-            lambda state, context: (_rounds(state[1], *context, _LEGS), state[1]),
-            (_few_rounds(start, hinge, grip), start),
-            (hinge, grip),
+            lambda _, context: _rounds(*context, _LEGS),
+            _few_rounds(start, hinge, grip),
+            (start, hinge, grip),
         )
     return _stacked(motion.rows), _stacked(motion.hinge), (motion.normal, motion.along)
 
@@ -218,7 +218,7 @@ def _few_rounds(start: _Motion, hinge: hinges.Hinges, grip: grips.Grips) -> _Mot
     """All velocity rounds, with the contacts that most walkers have and no others."""
     normal, along = grips.of_shins((start.normal, start.along), _FEW)
     begun = _Motion(start.rows, start.hinge, normal, along)
-    after = _rounds(begun, hinge, grips.only_shins(grip, _FEW), _SHINS)
+    after = _rounds(begun, hinge, grips.only_shins(grip, _FEW), _SHINS, unroll=True)
 
     def placed(all_of: jax.Array, few_of: jax.Array) -> jax.Array:
         thighs = all_of[:_FEW, ::2]
@@ -246,15 +246,19 @@ def _either_rounds(
 
 
 def _rounds(
-    start: _Motion, hinge: hinges.Hinges, grip: grips.Grips, bodies: tuple[int, ...]
+    start: _Motion,
+    hinge: hinges.Hinges,
+    grip: grips.Grips,
+    bodies: tuple[int, ...],
+    unroll: bool = False,
 ) -> _Motion:
-    """All velocity rounds; the contacts are those of some bodies."""
+    """All velocity rounds; the contacts are those of some bodies, `unroll` is of their slots."""
 
     def round_(_: int, motion: _Motion) -> _Motion:
         rows, impulses = hinges.velocity_round(motion.rows, hinge, motion.hinge)
         legs = _stacked([rows[body] for body in bodies])
         speeds, normal, along = grips.velocity_round(
-            Speeds(legs.velocity, legs.spin), grip, motion.normal, motion.along
+            Speeds(legs.velocity, legs.spin), grip, motion.normal, motion.along, unroll
         )
         for body, row in zip(bodies, _rows(speeds.velocity, speeds.spin), strict=True):
             rows[body] = row
