@@ -9,6 +9,8 @@ import pytest
 
 _MOST_SECONDS = 30.0
 """On two cores."""
+_TRIALS = 2
+"""A neighbour's load can double a time, and never halves it."""
 
 _SCRIPT = """
 import contextlib, glob, json, os, sys, threading, time
@@ -61,11 +63,24 @@ _WORK = {
 
 @pytest.mark.parametrize("kind", _WORK)
 def test_every_program_compiles_soon(kind, tmp_path):
+    for trial in range(_TRIALS):
+        slow = {
+            name: round(seconds, 1)
+            for name, seconds in _took(kind, tmp_path / str(trial)).items()
+            if seconds > _MOST_SECONDS
+        }
+        if not slow:
+            return
+    pytest.fail(f"seconds to compile: {slow}")
+
+
+def _took(kind, out):
+    """Seconds that each program took to compile."""
     work, expected = _WORK[kind]
     environment = {**os.environ, "JAX_ENABLE_COMPILATION_CACHE": "false"}
     del environment["JAX_DISABLE_MOST_OPTIMIZATIONS"]
     done = subprocess.run(
-        [sys.executable, "-c", f"{_SCRIPT}{work}\nprint(json.dumps(took))", str(tmp_path / "out")],
+        [sys.executable, "-c", f"{_SCRIPT}{work}\nprint(json.dumps(took))", str(out)],
         env=environment,
         stdout=subprocess.PIPE,
         text=True,
@@ -73,5 +88,4 @@ def test_every_program_compiles_soon(kind, tmp_path):
     )
     took = json.loads(done.stdout.splitlines()[-1])
     assert expected <= set(took), sorted(took)
-    slow = {name: round(seconds, 1) for name, seconds in took.items() if seconds > _MOST_SECONDS}
-    assert not slow, f"seconds to compile: {slow}"
+    return took
