@@ -14,8 +14,9 @@ from hitl_jax.commands.agreements.states import copied
 from hitl_jax.devices import walker_devices
 from hitl_jax.envs import Command, jax_pool, make_pool
 from hitl_jax.keys import make_key
-from hitl_jax.walker import parts, terrain
+from hitl_jax.walker import parts, terrain, touch
 from hitl_jax.walker.flat import of_one
+from hitl_jax.walker.plane import Vec
 from hitl_jax.walker.rarely import rarely
 from hitl_jax.walker.terrain import Terrain
 
@@ -245,3 +246,59 @@ def test_rarely_works_for_those_who_need_it(share):
     done = rarely(needed, lambda s, c: (s[0] + c, s[1] - 1), state, jnp.full(100, 5.0))
     np.testing.assert_array_equal(done[0], np.arange(100) + 5 * needed)
     np.testing.assert_array_equal(done[1], np.tile(-1.0 * needed, (2, 1)))
+
+
+@pytest.mark.parametrize("slots", [touch.SLOTS, 2 * touch.SLOTS])
+@pytest.mark.parametrize("leads", [False, True])
+def test_touching_slots_stand_first_in_their_order(slots, leads):
+    num_parts, batch = 4, 50
+    rng = np.random.default_rng(slots)
+    # Each slot, part and walker has a number of its own; at most four slots touch.
+    number = rng.permutation(slots * num_parts * batch).reshape(slots, num_parts, batch)
+    order = rng.permuted(np.arange(slots)[:, None, None] + 0 * number, axis=0)
+    touching = order < rng.integers(0, touch.SLOTS + 1, (num_parts, batch))
+    leading = leads & (rng.uniform(size=touching.shape) < 0.5)
+    real = jnp.asarray(number, jnp.float32)
+    vec = Vec(real, -real)
+    whole = jnp.asarray(number, jnp.int32)
+    manifold = touch.Manifold(
+        edge=whole,
+        on_edge=whole % 2 == 0,
+        normal=vec,
+        plane=vec,
+        points=(vec, vec),
+        keys=(whole, -whole),
+        valid=(jnp.asarray(touching), jnp.zeros(touching.shape, bool)),
+    )
+    moved = touch.forward(manifold, jnp.asarray(leading))
+    for part in range(num_parts):
+        for walker_ in range(batch):
+            met, first = touching[:, part, walker_], leading[:, part, walker_]
+            places = [*np.flatnonzero(met & first), *np.flatnonzero(met & ~first)]
+            places = [*places, *np.flatnonzero(~met)][: touch.SLOTS]
+            here = number[places, part, walker_]
+            np.testing.assert_array_equal(moved.edge[:, part, walker_], here)
+            np.testing.assert_array_equal(moved.keys[1][:, part, walker_], -here)
+            np.testing.assert_array_equal(moved.points[1].y[:, part, walker_], -here)
+            np.testing.assert_array_equal(moved.on_edge[:, part, walker_], here % 2 == 0)
+            np.testing.assert_array_equal(moved.touching[:, part, walker_], met[places])
+
+
+def test_impulses_go_with_their_edge_and_point_to_another_slot():
+    before = touch.no_contacts(1)
+    edge = jnp.array([7, 8, 9, 10], jnp.int32)[:, None, None] + jnp.zeros_like(before.edge)
+    keys = (jnp.zeros_like(edge) + 1, jnp.zeros_like(edge) + 2)
+    there = jnp.ones(edge.shape, bool)
+    normal = (edge.astype(jnp.float32), 10 * edge.astype(jnp.float32))
+    before = touch.Contacts(edge, keys, (there, there), normal, normal)
+    now = jnp.array([9, 11, 7, 8], jnp.int32)[:, None, None] + jnp.zeros_like(edge)
+    blank = Vec(*jnp.zeros((2, *edge.shape)))
+    swapped, only_first = (keys[1], keys[0]), (there, ~there)
+    manifold = touch.Manifold(now, there, blank, blank, (blank, blank), swapped, only_first)
+    after = touch.remember(before, manifold)
+    expected = np.array([90.0, 0.0, 70.0, 80.0])
+    for part in range(4):
+        np.testing.assert_array_equal(after.normal[0][:, part, 0], expected)
+        np.testing.assert_array_equal(after.along[1][:, part, 0], expected / 10)
+    stands = touch.feet_after(jnp.ones((4, 1), bool), before, after)
+    assert not stands.any()  # Of edges 10, which ended, and 11, which began, the left one counts.
