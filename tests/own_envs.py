@@ -139,10 +139,10 @@ class Unseeded(Drift):
 
 
 class Clock(Drift):
-    """Tells the time."""
+    """Tells the nanoseconds: float32 does not tell two times apart after days without a restart."""
 
     def observe(self):
-        return np.array([self.place, time.perf_counter()], np.float32)
+        return np.array([self.place, time.perf_counter_ns() % 10**6], np.float32)
 
 
 class Misshapen(Drift):
