@@ -1,26 +1,37 @@
 """Files that are there whole or not at all.
 
-What is written gets a temporary name beside its final one, is flushed to the disk, and renamed. A
-killed process can leave temporary names behind; readers ignore them and `remove_leftovers` removes
-them. A final name has one writer at a time.
+What is written gets a temporary name beside its final one, is flushed to the disk, and renamed.
+Temporary names are drawn at random, and locked while they are written. A killed process can leave
+some behind: readers ignore them, and `remove_leftovers` removes those that nobody has locked. Locks
+are the operating system's (`flock`): they end with the process, however that ends, and hold between
+containers that share a disk.
 """
 
 import contextlib
+import errno
 import fcntl
 import os
 import pathlib
 import platform
+import re
+import secrets
 import shutil
+import stat
 import time
 import zipfile
 from collections.abc import Iterator, Mapping
-from typing import TextIO
 
 TEMPORARY = ".tmp-"
 """How temporary names begin."""
+_OURS = re.compile(re.escape(TEMPORARY) + "[0-9a-f]{16}-.+")
+"""Temporary names, whole."""
 
 LOCK = ".lock"
 """Name of the file that a folder's one writer holds."""
+
+
+_held: dict[pathlib.Path, int] = {}
+"""The folders that this process has locked, and the descriptors of their locks."""
 
 
 class ResultsError(ValueError):
@@ -41,15 +52,14 @@ def write_text_atomic(path: pathlib.Path, text: str) -> None:
 
 def write_bytes_atomic(path: pathlib.Path, data: bytes) -> None:
     """Writes bytes as `write_text_atomic` writes text."""
-    temporary = _temporary(path)
+    require_held(path)
     with named_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            _write_synced(temporary, data)
+        with _temporary_file(path) as (temporary, descriptor):
+            with open(descriptor, "wb", closefd=False) as file:
+                file.write(data)
+            os.fsync(descriptor)
             os.replace(temporary, path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
         _sync_folder(path.parent)
 
 
@@ -63,18 +73,14 @@ def write_folder_atomic(path: pathlib.Path, contents: Mapping[str, bytes]) -> No
     Raises:
         ResultsError: if it cannot be written.
     """
-    temporary = _temporary(path)
+    require_held(path)
     with named_errors(path):
-        shutil.rmtree(temporary, ignore_errors=True)
-        temporary.mkdir(parents=True)
-        try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with _temporary_folder(path) as temporary:
             for name, data in contents.items():
                 _write_synced(temporary / name, data)
             _sync_folder(temporary)
             os.rename(temporary, path)
-        except BaseException:
-            shutil.rmtree(temporary, ignore_errors=True)
-            raise
         _sync_folder(path.parent)
 
 
@@ -82,64 +88,111 @@ def write_folder_atomic(path: pathlib.Path, contents: Mapping[str, bytes]) -> No
 def locked(folder: pathlib.Path) -> Iterator[None]:
     """Keeps a folder for this process alone; makes it if it is not there.
 
-    The lock is the operating system's (`flock`): it ends with the process, however that ends, so
-    the file `LOCK` that a killed process leaves behind keeps nobody out. It says who is at work.
+    The file `LOCK` that a killed process leaves behind keeps nobody out. It says who is at work.
+    What this process writes below the folder from then on is refused once the folder's name leads
+    to another one (see `require_held`).
 
     Raises:
-        ResultsError: if another process has the folder, naming it; or if the folder refuses.
+        ResultsError: if another process has the folder, naming it; if its lock is a link, or no
+            file; or if the folder refuses.
     """
     path = folder / LOCK
     with named_errors(folder):
         if folder.exists() and not folder.is_dir():
             raise ResultsError(f"{folder}: is a file, not a folder")
         folder.mkdir(parents=True, exist_ok=True)
-        file = _open_lock(path)
-    with file:
-        try:
-            with named_errors(path):
-                since = time.strftime("%Y-%m-%d %H:%M:%S")
-                owner = f"process {os.getpid()} on {platform.node()} since {since}"
-                # Past the buffer, which on a full disk would fail once more when it is closed.
-                os.ftruncate(file.fileno(), 0)
-                os.write(file.fileno(), owner.encode(errors="replace"))
-            yield
-        finally:
-            with contextlib.suppress(OSError):  # What led here says more.
-                if _is_there(path, file):  # Not another's, in a folder that was made anew.
-                    path.unlink()
+        descriptor = _open_lock(path)
+    name = folder.absolute()
+    try:
+        with named_errors(path):
+            since = time.strftime("%Y-%m-%d %H:%M:%S")
+            owner = f"process {os.getpid()} on {platform.node()} since {since}"
+            os.ftruncate(descriptor, 0)
+            os.write(descriptor, owner.encode(errors="replace"))
+        _held[name] = descriptor
+        yield
+    finally:
+        _held.pop(name, None)
+        with contextlib.suppress(OSError):  # What led here says more.
+            if _is_there(path, descriptor):  # Not another's, in a folder that was made anew.
+                path.unlink()
+        os.close(descriptor)
 
 
-def _is_there(path: pathlib.Path, file: TextIO) -> bool:
+def require_held(path: pathlib.Path) -> None:
+    """To be called before anything is changed in a folder that may be locked by this process.
+
+    Args:
+        path: what is to be changed.
+
+    Raises:
+        ResultsError: if the folder was moved away since it was locked, or made anew.
+    """
+    for folder, descriptor in _held.items():
+        if path.absolute().is_relative_to(folder) and not _is_there(folder / LOCK, descriptor):
+            raise ResultsError(
+                f"{folder}: is not the folder that this process has locked: it was moved, or its "
+                f"{LOCK} was removed; nothing more is written there"
+            )
+
+
+def _is_there(path: pathlib.Path, descriptor: int) -> bool:
     """Whether an open file is the one of this name."""
-    return path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat())
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.lstat())
+    except OSError:
+        return False
 
 
-def _open_lock(path: pathlib.Path) -> TextIO:
+def _open_lock(path: pathlib.Path) -> int:
+    """A descriptor of the lock, which this process alone holds."""
     while True:
-        file = open(path, "a+", encoding="utf-8", errors="replace")  # noqa: SIM115, the caller closes it
-        file.seek(0)
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+            descriptor = os.open(path, flags, 0o666)
+        except OSError as error:
+            if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO):
+                raise _no_lock(path) from None
+            raise
+        try:
+            found = os.fstat(descriptor)
+            if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
+                raise _no_lock(path)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            with file:
-                owner = file.readline() or "another process"
-            raise ResultsError(f"{path.parent}: is in use by {owner}") from None
+            owner = os.read(descriptor, 1000).decode(errors="replace").partition("\n")[0]
+            os.close(descriptor)
+            raise ResultsError(
+                f"{path.parent}: is in use by {owner or 'another process'}"
+            ) from None
         except BaseException:
-            file.close()
+            os.close(descriptor)
             raise
         # Its owner may have removed the file between our two calls; then it locks nothing.
-        if _is_there(path, file):
-            return file
-        file.close()
+        if _is_there(path, descriptor):
+            return descriptor
+        os.close(descriptor)
+
+
+def _no_lock(path: pathlib.Path) -> ResultsError:
+    return ResultsError(f"{path}: must be a plain file of one name, or not there: remove it")
 
 
 def remove_leftovers(folder: pathlib.Path) -> None:
-    """Removes the temporary files and folders below a folder that nobody is writing to."""
+    """Removes the temporary files and folders below a folder that nobody is writing any more."""
     for path in list(folder.rglob(TEMPORARY + "*")):
-        if path.is_dir():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.unlink(missing_ok=True)
+        if not _OURS.fullmatch(path.name) or path.is_symlink():
+            continue
+        with contextlib.suppress(OSError):
+            descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if path.is_dir():
+                    shutil.rmtree(path, ignore_errors=True)
+                else:
+                    path.unlink(missing_ok=True)
+            finally:
+                os.close(descriptor)
 
 
 @contextlib.contextmanager
@@ -156,8 +209,49 @@ def named_errors(path: pathlib.Path) -> Iterator[None]:
 
 
 def _temporary(path: pathlib.Path) -> pathlib.Path:
-    """Another name for each process: figures may be drawn twice at a time."""
-    return path.with_name(f"{TEMPORARY}{os.getpid()}-{path.name}")
+    return path.with_name(f"{TEMPORARY}{secrets.token_hex(8)}-{path.name}")
+
+
+@contextlib.contextmanager
+def _temporary_file(path: pathlib.Path) -> Iterator[tuple[pathlib.Path, int]]:
+    """A new, locked file beside a name, and its descriptor; removed if it is not renamed."""
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    with _removed_on_errors(_temporary(path)) as temporary:
+        descriptor = os.open(temporary, flags, 0o666)
+        with _locked_as_ours(descriptor):
+            yield temporary, descriptor
+
+
+@contextlib.contextmanager
+def _temporary_folder(path: pathlib.Path) -> Iterator[pathlib.Path]:
+    """A new, locked folder beside a name; removed if it is not renamed."""
+    with _removed_on_errors(_temporary(path)) as temporary:
+        temporary.mkdir()
+        with _locked_as_ours(os.open(temporary, os.O_RDONLY | os.O_CLOEXEC)):
+            yield temporary
+
+
+@contextlib.contextmanager
+def _removed_on_errors(temporary: pathlib.Path) -> Iterator[pathlib.Path]:
+    try:
+        yield temporary
+    except BaseException:
+        if temporary.is_dir():
+            shutil.rmtree(temporary, ignore_errors=True)
+        else:
+            temporary.unlink(missing_ok=True)
+        raise
+
+
+@contextlib.contextmanager
+def _locked_as_ours(descriptor: int) -> Iterator[None]:
+    """Keeps `remove_leftovers` of other processes away."""
+    try:
+        with contextlib.suppress(OSError):  # A disk without locks: they cannot lock either.
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def _write_synced(path: pathlib.Path, data: bytes) -> None:

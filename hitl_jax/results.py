@@ -36,6 +36,7 @@ from hitl_jax.files import (
     ResultsError,
     named_errors,
     remove_leftovers,
+    require_held,
     write_folder_atomic,
     write_text_atomic,
 )
@@ -254,6 +255,7 @@ class ResultsFolder:
         info = _read_json(folder / "run.json", RUN_INFO)
         if (info.get("method"), info.get("seed")) != (key.method, key.seed):
             raise ResultsError(f"{folder / 'run.json'}: is of another run than its folder's name")
+        self._require_own(folder / "run.json", info)
         episodes = _read_table(folder / "episodes.csv", EPISODE_COLUMNS)
         tests = _read_table(folder / "test.csv", TEST_COLUMNS)
         if not (folder / "progress.csv").exists():
@@ -261,6 +263,12 @@ class ResultsFolder:
         return Run(
             key, info, episodes, tests, _read_table(folder / "progress.csv", PROGRESS_COLUMNS)
         )
+
+    def _require_own(self, path: pathlib.Path, info: dict[str, Any]) -> None:
+        """Refuses a run that was made with another config than the folder's."""
+        if not isinstance(info["config"], dict):
+            raise ResultsError(f"{path}: damaged: its config is no object")
+        require_same(path, completed(info["config"]), self.load_config())
 
     def load_all(self) -> list[Run]:
         """All finished runs: in the order of `METHODS`, other methods after them, then by seed."""
@@ -302,6 +310,7 @@ class ResultsFolder:
 
     def remove_partial(self, key: RunKey) -> None:
         """Removes a run's partial episodes, if there are any."""
+        require_held(self.path)
         with named_errors(self._partial_path(key)):
             self._partial_path(key).unlink(missing_ok=True)
 

@@ -10,19 +10,25 @@ be read; frames are kept as long as one of the two needs them, and never changed
 with a checksum behind it; reading executes nothing (no pickle).
 """
 
+import contextlib
 import hashlib
 import io
 import json
 import pathlib
 import re
-import shutil
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from hitl_jax.differences import changes
-from hitl_jax.files import ResultsError, named_errors, remove_leftovers, write_bytes_atomic
+from hitl_jax.files import (
+    ResultsError,
+    named_errors,
+    remove_leftovers,
+    require_held,
+    write_bytes_atomic,
+)
 from hitl_jax.provenance import origin
 from hitl_jax.run_key import RunKey
 from hitl_jax.saved import SavedRun
@@ -114,11 +120,12 @@ class Saves:
         self._number, self._newest, self._lengths = number, number, lengths
 
     def remove(self) -> None:
-        """Removes the folder: nothing is under way any more."""
-        if self._path.exists():
-            self._keep("state", set())  # First, since a state without its frames is damaged.
-            with named_errors(self._path):
-                shutil.rmtree(self._path)
+        """Removes all saves, and the folder if nothing else is in it: nothing is under way."""
+        self._keep("state", set())  # First, since a state without its frames is damaged.
+        self._keep("frames", set())
+        if not self._path.is_symlink():  # Another disk's folder stays where its link leads.
+            with contextlib.suppress(OSError):  # It is not there, or somebody has files in it.
+                self._path.rmdir()
 
     def _load(self, number: int) -> tuple[dict[RunKey, SavedRun], Lengths]:
         path = self._file("state", number)
@@ -159,6 +166,7 @@ class Saves:
     def _keep(self, kind: str, numbers: set[int]) -> None:
         """Removes the others."""
         for number in self._numbers(kind) - numbers:
+            require_held(self._path)
             with named_errors(self._file(kind, number)):
                 self._file(kind, number).unlink()
 

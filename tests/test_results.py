@@ -53,7 +53,7 @@ def make_params() -> dict[str, np.ndarray]:
 
 
 def make_info(**changes: Any) -> dict[str, Any]:
-    info = {"config": {"gamma": 0.98}, "versions": {"numpy": "2"}, "commit": None}
+    info = {"config": CONFIG, "versions": {"numpy": "2"}, "commit": None}
     info |= {"wall_seconds": np.float32(1.5), "env_steps": np.int64(400), "updates": 7}
     return info | changes
 
@@ -171,11 +171,11 @@ def test_a_killed_process_leaves_what_a_resume_removes(folder):
     save(folder, RunKey("srl", 0))
     whole = everything_below(folder.path)
     # As after a kill -9 in the middle of `save_run` and of `write_partial`.
-    half = folder.path / "runs/srl/.tmp-seed-0001"
+    half = folder.path / "runs/srl/.tmp-0123456789abcdef-seed-0001"
     half.mkdir()
     (half / "episodes.csv").write_text("episode,ret")
     (folder.path / "partial").mkdir()
-    (folder.path / "partial/.tmp-srl-seed-0002.csv").write_text("epi")
+    (folder.path / "partial/.tmp-fedcba9876543210-srl-seed-0002.csv").write_text("epi")
     assert folder.finished() == {RunKey("srl", 0)}
     assert folder.load_partials() == {}
     folder.create_or_resume(CONFIG, "again")
