@@ -4,7 +4,7 @@ import importlib
 import sys
 from collections.abc import Sequence
 
-from hitl_jax.commands.output import replace_what_cannot_be_encoded
+from hitl_jax.commands.output import go_on_without_readers, replace_what_cannot_be_encoded
 
 _COMMANDS = {
     "sweep": ("seed_sweep", "trains and tests the three methods over many seeds"),
@@ -39,6 +39,7 @@ def main(words: Sequence[str] | None = None) -> int:
         The exit code; 2 for bad input, after one line on stderr.
     """
     replace_what_cannot_be_encoded()
+    go_on_without_readers()
     name, *options = (sys.argv[1:] if words is None else words) or ["--help"]
     if name in ("-h", "--help"):
         print("usage: hitl-jax COMMAND [OPTIONS]    (--help after a command lists its options)\n")
