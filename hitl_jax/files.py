@@ -8,6 +8,7 @@ containers that share a disk.
 """
 
 import contextlib
+import csv
 import errno
 import fcntl
 import os
@@ -18,17 +19,21 @@ import secrets
 import shutil
 import stat
 import time
-import zipfile
 from collections.abc import Iterator, Mapping
 
 TEMPORARY = ".tmp-"
 """How temporary names begin."""
-_OURS = re.compile(re.escape(TEMPORARY) + "[0-9a-f]{16}-.+")
+_OURS = re.compile(re.escape(TEMPORARY) + "[0-9a-f]{16}")
 """Temporary names, whole."""
 
 LOCK = ".lock"
 """Name of the file that a folder's one writer holds."""
 
+
+LARGEST = 4 * 2**30
+"""Of a file that is read [bytes]."""
+
+_LONGEST_REASON = 300
 
 _held: dict[pathlib.Path, int] = {}
 """The folders that this process has locked, and the descriptors of their locks."""
@@ -36,6 +41,36 @@ _held: dict[pathlib.Path, int] = {}
 
 class ResultsError(ValueError):
     """Results that cannot be used; the message is one line naming the file."""
+
+
+def read_bytes(path: pathlib.Path, at_most: int = LARGEST, follow: bool = True) -> bytes:
+    """What a plain file holds; a pipe or a device is refused, and not waited for.
+
+    Args:
+        path: the file.
+        at_most: bytes; a larger file is refused.
+        follow: whether it may be a link to the file.
+
+    Raises:
+        ResultsError: if it cannot be read, or is none.
+    """
+    flags = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | (0 if follow else os.O_NOFOLLOW)
+    with named_errors(path):
+        try:
+            descriptor = os.open(path, flags)
+        except OSError as error:
+            if error.errno in (errno.ELOOP, errno.ENXIO):
+                raise ResultsError(f"{path}: must be a plain file") from None
+            raise
+        with open(descriptor, "rb") as file:
+            found = os.fstat(descriptor)
+            if not stat.S_ISREG(found.st_mode):
+                raise ResultsError(f"{path}: must be a plain file")
+            if found.st_size > at_most:
+                raise ResultsError(
+                    f"{path}: has {found.st_size:,} bytes: must be at most {at_most:,}"
+                )
+            return file.read(found.st_size + 1)
 
 
 def write_text_atomic(path: pathlib.Path, text: str) -> None:
@@ -114,7 +149,7 @@ def locked(folder: pathlib.Path) -> Iterator[None]:
     finally:
         _held.pop(name, None)
         with contextlib.suppress(OSError):  # What led here says more.
-            if _is_there(path, descriptor):  # Not another's, in a folder that was made anew.
+            if is_there(path, descriptor):  # Not another's, in a folder that was made anew.
                 path.unlink()
         os.close(descriptor)
 
@@ -129,14 +164,14 @@ def require_held(path: pathlib.Path) -> None:
         ResultsError: if the folder was moved away since it was locked, or made anew.
     """
     for folder, descriptor in _held.items():
-        if path.absolute().is_relative_to(folder) and not _is_there(folder / LOCK, descriptor):
+        if path.absolute().is_relative_to(folder) and not is_there(folder / LOCK, descriptor):
             raise ResultsError(
                 f"{folder}: is not the folder that this process has locked: it was moved, or its "
                 f"{LOCK} was removed; nothing more is written there"
             )
 
 
-def _is_there(path: pathlib.Path, descriptor: int) -> bool:
+def is_there(path: pathlib.Path, descriptor: int) -> bool:
     """Whether an open file is the one of this name."""
     try:
         return os.path.samestat(os.fstat(descriptor), path.lstat())
@@ -147,17 +182,8 @@ def _is_there(path: pathlib.Path, descriptor: int) -> bool:
 def _open_lock(path: pathlib.Path) -> int:
     """A descriptor of the lock, which this process alone holds."""
     while True:
+        descriptor = open_plain(path, os.O_RDWR | os.O_CREAT)
         try:
-            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-            descriptor = os.open(path, flags, 0o666)
-        except OSError as error:
-            if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO):
-                raise _no_lock(path) from None
-            raise
-        try:
-            found = os.fstat(descriptor)
-            if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
-                raise _no_lock(path)
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             owner = os.read(descriptor, 1000).decode(errors="replace").partition("\n")[0]
@@ -169,12 +195,33 @@ def _open_lock(path: pathlib.Path) -> int:
             os.close(descriptor)
             raise
         # Its owner may have removed the file between our two calls; then it locks nothing.
-        if _is_there(path, descriptor):
+        if is_there(path, descriptor):
             return descriptor
         os.close(descriptor)
 
 
-def _no_lock(path: pathlib.Path) -> ResultsError:
+def open_plain(path: pathlib.Path, flags: int) -> int:
+    """A descriptor to write with, of a file that nobody has by another name or by a link.
+
+    Raises:
+        ResultsError: if it is something else.
+        OSError: if the system refuses.
+    """
+    try:
+        flags |= os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+        descriptor = os.open(path, flags, 0o666)
+    except OSError as error:
+        if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO):
+            raise _not_plain(path) from None
+        raise
+    found = os.fstat(descriptor)
+    if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
+        os.close(descriptor)
+        raise _not_plain(path)
+    return descriptor
+
+
+def _not_plain(path: pathlib.Path) -> ResultsError:
     return ResultsError(f"{path}: must be a plain file of one name, or not there: remove it")
 
 
@@ -204,12 +251,19 @@ def named_errors(path: pathlib.Path) -> Iterator[None]:
         raise
     except OSError as error:
         raise ResultsError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ResultsError(f"{path}: damaged: {' '.join(str(error).split())}") from error
+    except (ValueError, EOFError, OverflowError, csv.Error) as error:
+        raise ResultsError(f"{path}: damaged: {one_line(error)}") from error
+
+
+def one_line(error: Exception) -> str:
+    """What an error says in one line, without what a terminal would obey."""
+    line = " ".join(str(error).split())
+    line = "".join(character if character.isprintable() else "?" for character in line)
+    return line if len(line) <= _LONGEST_REASON else f"{line[:_LONGEST_REASON]} …"
 
 
 def _temporary(path: pathlib.Path) -> pathlib.Path:
-    return path.with_name(f"{TEMPORARY}{secrets.token_hex(8)}-{path.name}")
+    return path.with_name(TEMPORARY + secrets.token_hex(8))
 
 
 @contextlib.contextmanager

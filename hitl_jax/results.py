@@ -19,22 +19,25 @@ number of readers. Nothing here imports jax.
 """
 
 import dataclasses
-import io
 import json
 import os
 import pathlib
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from hitl_jax import recording
+from hitl_jax.archives import from_npz, to_npz
 from hitl_jax.differences import changes, completed, require_same
+from hitl_jax.documents import LARGEST, checked, digest_of, from_json, require_plain, to_json
 from hitl_jax.files import (
     LOCK,
     TEMPORARY,
     ResultsError,
     named_errors,
+    read_bytes,
     remove_leftovers,
     require_held,
     write_folder_atomic,
@@ -43,8 +46,10 @@ from hitl_jax.files import (
 from hitl_jax.provenance import git_commit, versions
 from hitl_jax.recording import Recording
 from hitl_jax.run_key import RunKey, parse_key, sort_keys
+from hitl_jax.schemas import FolderDocument, KnownConfig, RunDocument
 from hitl_jax.tables import (
     EPISODE_COLUMNS,
+    MODES,
     PROGRESS_COLUMNS,
     TEST_COLUMNS,
     Table,
@@ -53,9 +58,12 @@ from hitl_jax.tables import (
     to_table,
 )
 
-FORMAT = 1
 RUN_INFO = ("config", "versions", "commit", "wall_seconds", "env_steps", "updates")
 """What the caller of `save_run` tells about a run."""
+
+RUN_FILES = ("episodes.csv", "test.csv", "progress.csv", "params.npz", "episodes.npz")
+"""Of a run's folder beside run.json, which has the digest of each."""
+_CAME_LATER = ("progress.csv", "episodes.npz")
 
 _NONE: dict[str, Any] = {name: [] for name in PROGRESS_COLUMNS}
 
@@ -126,7 +134,7 @@ class ResultsFolder:
             ConfigMismatch: if the folder was made with another config, or for another shard.
             ResultsError: if the folder holds something else, or cannot be written.
         """
-        config = json.loads(_to_json(config))  # tuples become lists, as on the disk
+        config = _as_on_the_disk(config)
         provenance = {"versions": versions(), "commit": git_commit()}
         if self.path.exists() and not self.path.is_dir():
             raise ResultsError(f"{self.path}: is a file, not a folder")
@@ -138,7 +146,7 @@ class ResultsFolder:
                 require_same(self.path, self.load_config(), config)
                 require_same(self.path, {"shard": self.load_shard()}, {"shard": shard})
                 remove_leftovers(self.path)
-                return changes(_read_json(self.path / "config.json", ()), provenance)
+                return changes(self._document(), provenance)
             ours = (TEMPORARY, LOCK)
             foreign = [p.name for p in self.path.iterdir() if not p.name.startswith(ours)]
             if foreign:
@@ -148,8 +156,10 @@ class ResultsFolder:
                 )
             remove_leftovers(self.path)
         part = {} if shard is None else {"shard": shard}
-        document = {"format": FORMAT, "config": config, "command": command} | part | provenance
-        write_text_atomic(self.path / "config.json", _to_json(document))
+        # A folder's name may be no text.
+        told = "".join(letter if letter.isprintable() else "?" for letter in command)
+        document = {"config": config, "command": told} | part | provenance
+        write_text_atomic(self.path / "config.json", to_json(document))
         return []
 
     def load_config(self) -> dict[str, Any]:
@@ -158,10 +168,7 @@ class ResultsFolder:
         Raises:
             ResultsError: if this is no results folder, or config.json is damaged.
         """
-        path = self.path / "config.json"
-        if not path.exists():
-            raise ResultsError(f"{self.path}: no results here (no config.json)")
-        return completed(_read_json(path, ("config",))["config"])
+        return completed(self._document()["config"])
 
     def load_shard(self) -> dict[str, Any] | None:
         """Which part of a sweep the folder is for; None where it is for all of it.
@@ -169,7 +176,17 @@ class ResultsFolder:
         Raises:
             ResultsError: if config.json is damaged.
         """
-        return _read_json(self.path / "config.json", ("config",)).get("shard")
+        return self._document().get("shard")
+
+    def _document(self) -> dict[str, Any]:
+        """config.json, checked."""
+        path = self.path / "config.json"
+        if not path.exists():
+            raise ResultsError(f"{self.path}: no results here (no config.json)")
+        with named_errors(path):
+            document = from_json(read_bytes(path, LARGEST), FolderDocument)
+            checked(document["config"], KnownConfig)
+        return document
 
     def save_run(
         self,
@@ -208,8 +225,7 @@ class ResultsFolder:
         if objects:
             raise ValueError(f"parameter {objects[0]!r} is not an array of numbers")
         status = "diverged" if info.get("diverged") else "finished"
-        head = {"format": FORMAT, "method": key.method, "seed": key.seed, "status": status}
-        document = head | info | head  # `head` comes first, and `info` cannot change it
+        head = {"method": key.method, "seed": key.seed, "status": status}
         recorded = {
             f"{name}/{field}": getattr(kept, field)
             for name, kept in (recordings or {}).items()
@@ -219,11 +235,12 @@ class ResultsFolder:
             "episodes.csv": table_to_csv(to_table(episodes, EPISODE_COLUMNS)).encode(),
             "test.csv": table_to_csv(to_table(tests, TEST_COLUMNS)).encode(),
             "progress.csv": table_to_csv(to_table(progress or _NONE, PROGRESS_COLUMNS)).encode(),
-            "params.npz": _to_npz(params, np.savez),
-            "episodes.npz": _to_npz(recorded, np.savez_compressed),
-            "run.json": _to_json(document).encode(),
+            "params.npz": to_npz(params),
+            "episodes.npz": to_npz(recorded, np.savez_compressed),
         }
-        write_folder_atomic(final, contents)
+        files = {name: digest_of(data) for name, data in contents.items()}
+        document = head | info | head | {"files": files}  # Which `info` cannot change.
+        write_folder_atomic(final, contents | {"run.json": to_json(document).encode()})
 
     def copy_run(self, source: "ResultsFolder", key: RunKey) -> None:
         """Copies a finished run from another folder, whole or not at all.
@@ -236,8 +253,11 @@ class ResultsFolder:
         if final.exists():
             raise ResultsError(f"{final}: this run is finished already")
         source.load_run(key)
-        with named_errors(origin):
-            contents = {path.name: path.read_bytes() for path in sorted(origin.iterdir())}
+        source.load_params(key)
+        source.load_recordings(key)
+        names = ("run.json", *RUN_FILES)
+        there = [name for name in names if os.path.lexists(origin / name)]
+        contents = {name: read_bytes(origin / name, follow=False) for name in there}
         write_folder_atomic(final, contents)
 
     def finished(self) -> set[RunKey]:
@@ -249,26 +269,51 @@ class ResultsFolder:
         """Reads a finished run, without its parameters.
 
         Raises:
-            ResultsError: if it is not there or a file is damaged.
+            ResultsError: if it is not there, a file is damaged, or it was made with another config
+                than the folder.
         """
-        folder = self._run_path(key)
-        info = _read_json(folder / "run.json", RUN_INFO)
-        if (info.get("method"), info.get("seed")) != (key.method, key.seed):
-            raise ResultsError(f"{folder / 'run.json'}: is of another run than its folder's name")
-        self._require_own(folder / "run.json", info)
-        episodes = _read_table(folder / "episodes.csv", EPISODE_COLUMNS)
-        tests = _read_table(folder / "test.csv", TEST_COLUMNS)
-        if not (folder / "progress.csv").exists():
-            return Run(key, info, episodes, tests)
-        return Run(
-            key, info, episodes, tests, _read_table(folder / "progress.csv", PROGRESS_COLUMNS)
+        info = self._load_info(key)
+        run = Run(
+            key,
+            info,
+            self._load_table(key, info, "episodes.csv", EPISODE_COLUMNS),
+            self._load_table(key, info, "test.csv", TEST_COLUMNS),
+            self._load_table(key, info, "progress.csv", PROGRESS_COLUMNS),
         )
+        with named_errors(self._run_path(key)):
+            _require_whole(run)
+        return run
 
-    def _require_own(self, path: pathlib.Path, info: dict[str, Any]) -> None:
-        """Refuses a run that was made with another config than the folder's."""
-        if not isinstance(info["config"], dict):
-            raise ResultsError(f"{path}: damaged: its config is no object")
+    def _load_info(self, key: RunKey) -> dict[str, Any]:
+        """run.json, checked."""
+        path = self._run_path(key) / "run.json"
+        with named_errors(path):
+            info = from_json(read_bytes(path, LARGEST), RunDocument)
+            checked(info["config"], KnownConfig)
+        if (info["method"], info["seed"]) != (key.method, key.seed):
+            raise ResultsError(f"{path}: is of another run than its folder's name")
         require_same(path, completed(info["config"]), self.load_config())
+        return info
+
+    def _load_table(
+        self, key: RunKey, info: dict[str, Any], name: str, columns: tuple[str, ...]
+    ) -> Table:
+        data = self._load_file(key, info, name)
+        if data is None:
+            return to_table(_NONE, columns)
+        with named_errors(self._run_path(key) / name):
+            return table_from_csv(data.decode(), columns)
+
+    def _load_file(self, key: RunKey, info: dict[str, Any], name: str) -> bytes | None:
+        """A file of a run; None of one that the run was made without."""
+        path = self._run_path(key) / name
+        digests = info.get("files", {})
+        if name in _CAME_LATER and name not in digests and not path.exists():
+            return None
+        data = read_bytes(path)
+        if digests and digests.get(name) != digest_of(data):
+            raise ResultsError(f"{path}: damaged: is not the file that run.json names")
+        return data
 
     def load_all(self) -> list[Run]:
         """All finished runs: in the order of `METHODS`, other methods after them, then by seed."""
@@ -280,7 +325,10 @@ class ResultsFolder:
         Raises:
             ResultsError: if the file is missing or damaged.
         """
-        return _read_npz(self._run_path(key) / "params.npz")
+        data = self._load_file(key, self._load_info(key), "params.npz")
+        assert data is not None
+        with named_errors(self._run_path(key) / "params.npz"):
+            return from_npz(data)
 
     def load_recordings(self, key: RunKey) -> dict[str, Recording]:
         """The recorded training episodes of a finished run, by name; none if it was made without.
@@ -288,19 +336,13 @@ class ResultsFolder:
         Raises:
             ResultsError: if the file is damaged.
         """
-        path = self._run_path(key) / "episodes.npz"
-        if not path.exists():
+        run = self.load_run(key)
+        data = self._load_file(key, run.info, "episodes.npz")
+        if data is None:
             return {}
-        with named_errors(path):
-            arrays = _read_npz(path)
-            names = [name.removesuffix("/episode") for name in arrays if name.endswith("/episode")]
-            try:
-                return {
-                    name: Recording(int(arrays[f"{name}/episode"]), arrays[f"{name}/steps"])
-                    for name in names
-                }
-            except (KeyError, TypeError) as error:
-                raise ValueError(f"is not of this program: {error!r}") from error
+        action_size = run.info["config"].get("agent", {}).get("action_size")
+        with named_errors(self._run_path(key) / "episodes.npz"):
+            return recording.from_npz(data, run.episodes["length"], action_size)
 
     def write_partial(self, key: RunKey, episodes: dict[str, Any]) -> None:
         """Writes, in place of an earlier one, the training episodes so far of a run under way."""
@@ -326,7 +368,9 @@ class ResultsFolder:
         for key in sort_keys(keys - self.finished()):
             path = self._partial_path(key)
             try:
-                tables[key] = _read_table(path, EPISODE_COLUMNS)
+                with named_errors(path):
+                    text = read_bytes(path).decode()
+                    tables[key] = table_from_csv(text, EPISODE_COLUMNS)
             except ResultsError:
                 if path.exists():  # if not, the run has finished since the folder was listed
                     raise
@@ -344,45 +388,26 @@ class ResultsFolder:
         return self.path / "partial" / f"{key.file_name}.csv"
 
 
-def _to_json(document: dict[str, Any]) -> str:
-    return json.dumps(document, indent=2, allow_nan=False, default=_plain) + "\n"
+def _as_on_the_disk(config: dict[str, Any]) -> dict[str, Any]:
+    """A config with lists for tuples, and Python's numbers for NumPy's.
+
+    Raises:
+        ValueError: if it is not what a file may hold.
+    """
+    plain: dict[str, Any] = json.loads(to_json({"config": config}))["config"]
+    require_plain(plain)
+    return plain
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    raise TypeError(f"{value!r} cannot be written as JSON")
-
-
-def _read_json(path: pathlib.Path, required: tuple[str, ...]) -> dict[str, Any]:
-    with named_errors(path):
-        document = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(document, dict) or document.get("format") != FORMAT:
-            raise ResultsError(f"{path}: is not of format {FORMAT} of this program")
-        missing = [name for name in required if name not in document]
-        if missing:
-            raise ValueError(f"lacks {', '.join(missing)}")
-    return document
-
-
-def _to_npz(arrays: Mapping[str, Any], save: Callable[..., None]) -> bytes:
-    archive = io.BytesIO()
-    save(archive, **arrays)
-    return archive.getvalue()
-
-
-def _read_npz(path: pathlib.Path) -> dict[str, np.ndarray]:
-    # Opened here: np.load leaves the file open where the archive is damaged.
-    with named_errors(path), open(path, "rb") as file:
-        try:
-            archive = np.load(file, allow_pickle=False)
-            return {name: archive[name] for name in archive.files}
-        except OSError:
-            raise
-        except Exception as error:  # A flipped bit can make of zipfile's and NumPy's errors any.
-            raise ValueError(f"{type(error).__name__}: {error}") from error
-
-
-def _read_table(path: pathlib.Path, names: tuple[str, ...]) -> Table:
-    with named_errors(path):
-        return table_from_csv(path.read_text(encoding="utf-8"), names)
+def _require_whole(run: Run) -> None:
+    """Refuses a run that has other numbers of episodes than its config says."""
+    asked = run.info["config"]
+    has = len(run.episodes["episode"])
+    if has != asked.get("episodes", has):
+        raise ValueError(f"has {has} training episodes: must be {asked['episodes']}")
+    if run.diverged and run.info["diverged"]["episodes"] > has:
+        raise ValueError(f"has {has} training episodes, and diverged after more")
+    for mode in MODES:
+        has = int((run.tests["mode"] == mode).sum())
+        if has not in (0, asked.get("test_episodes", has)):
+            raise ValueError(f"has {has} {mode} test episodes: must be {asked['test_episodes']}")

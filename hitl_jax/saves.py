@@ -12,7 +12,6 @@ with a checksum behind it; reading executes nothing (no pickle).
 
 import contextlib
 import hashlib
-import io
 import json
 import pathlib
 import re
@@ -21,10 +20,13 @@ from typing import Any
 
 import numpy as np
 
+from hitl_jax.archives import from_npz, to_npz
 from hitl_jax.differences import changes
+from hitl_jax.documents import checked, plain_from_json
 from hitl_jax.files import (
     ResultsError,
     named_errors,
+    read_bytes,
     remove_leftovers,
     require_held,
     write_bytes_atomic,
@@ -32,6 +34,7 @@ from hitl_jax.files import (
 from hitl_jax.provenance import origin
 from hitl_jax.run_key import RunKey
 from hitl_jax.saved import SavedRun
+from hitl_jax.schemas import MadeBy, SaveHead
 from hitl_jax.tables import EPISODE_COLUMNS, table_from_csv, table_to_csv, to_columns, to_table
 
 FORMAT = 4
@@ -131,14 +134,15 @@ class Saves:
         path = self._file("state", number)
         arrays = _read(path)
         with named_errors(path):
-            try:
-                head = json.loads(_to_text(arrays["head"]))
-                if head["format"] != FORMAT:
-                    told = f"is of format {head['format']}, another version's{_by(head)}"
-                    raise ResultsError(f"{path}: {told}: must be {FORMAT}")
-                return self._assemble(head, arrays)
-            except (KeyError, TypeError, AttributeError) as error:
-                raise ValueError(f"is not of this program: {error!r}") from error
+            if "head" not in arrays:
+                raise ValueError("has no head")
+            text = _to_text(arrays["head"])
+            head = plain_from_json(text, dict[str, Any])
+            if head.get("format") != FORMAT:
+                told = f"is of format {head.get('format')!r}, another version's{_by(head)}"
+                raise ResultsError(f"{path}: {told}: must be {FORMAT}")
+            checked(head, SaveHead)
+            return self._assemble(head, arrays)
 
     def _assemble(
         self, head: dict[str, Any], arrays: dict[str, np.ndarray]
@@ -146,17 +150,24 @@ class Saves:
         lengths: Lengths = {int(number): names for number, names in head["frames"].items()}
         files = {number: _read(self._file("frames", number)) for number in sorted(lengths)}
         for number, file in files.items():
-            if {name: len(frames) for name, frames in file.items()} != lengths[number]:
+            if {name: frames.shape[:1] for name, frames in file.items()} != {
+                name: (length,) for name, length in lengths[number].items()
+            }:
                 raise ValueError(f"{self._file('frames', number)} is of another save")
         runs = {}
         for index, facts in enumerate(head["runs"]):
+            if lacking := [n for n in (*_ARRAYS, "episodes") if f"{index}/{n}" not in arrays]:
+                raise ValueError(f"lacks {lacking[0]} of run {index}")
             parts = {name: arrays[f"{index}/{name}"] for name in _ARRAYS}
-            csv = _to_text(arrays[f"{index}/episodes"])
+            csv = _to_text(arrays[f"{index}/episodes"]).decode()
             table = {k: v.tolist() for k, v in table_from_csv(csv, EPISODE_COLUMNS).items()}
             rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
             saved = SavedRun(facts | {"episodes": rows}, frames=np.array([]), **parts)
             name = saved.key.file_name
-            frames = np.concatenate([file[name] for file in files.values() if name in file])
+            has = [file[name] for file in files.values() if name in file]
+            if not has or len({frames.shape[1:] for frames in has}) > 1:
+                raise ValueError(f"has no frames of {saved.key}, or of several kinds")
+            frames = np.concatenate(has)
             if len(frames) < min(facts["ticks"], self._capacity):
                 raise ValueError(f"lacks frames of {saved.key}")
             frames = frames[-min(facts["ticks"], self._capacity) :]
@@ -180,9 +191,13 @@ class Saves:
 
 def _by(head: dict[str, Any]) -> str:
     """By which code and packages a save was made, as far as they are not today's."""
-    made: dict[str, Any] = next(iter(head.get("runs", [])), {})
-    found = {"commit": "+".join(made["commits"])} if "commits" in made else {}
-    differences = changes(found | {"versions": made.get("versions", {})}, origin())
+    runs = head.get("runs")
+    try:
+        made = checked(runs[0] if isinstance(runs, list) and runs else {}, MadeBy)
+    except ValueError:
+        return ""
+    found = {"commit": "+".join(made.commits)} if made.commits else {}
+    differences = changes(found | {"versions": made.versions}, origin())
     return f" ({'; '.join(differences)})" if differences else ""
 
 
@@ -199,20 +214,17 @@ def _reaching_back(lengths: Lengths, needed: dict[str, int]) -> Lengths:
 
 
 def _write(path: pathlib.Path, arrays: dict[str, np.ndarray]) -> None:
-    archive = io.BytesIO()
-    np.savez(archive, **arrays)  # type: ignore[arg-type]
-    data = archive.getvalue()
+    data = to_npz(arrays)
     write_bytes_atomic(path, data + _digest(data))
 
 
 def _read(path: pathlib.Path) -> dict[str, np.ndarray]:
     with named_errors(path):
-        data = path.read_bytes()
+        data = read_bytes(path)
         data, digest = data[:-_DIGEST_SIZE], data[-_DIGEST_SIZE:]
         if digest != _digest(data):
             raise ValueError("its checksum is wrong")
-        archive = np.load(io.BytesIO(data), allow_pickle=False)
-        return {name: archive[name] for name in archive.files}
+        return from_npz(data)
 
 
 def _digest(data: bytes) -> bytes:
@@ -223,5 +235,8 @@ def _to_bytes(text: str) -> np.ndarray:
     return np.frombuffer(text.encode(), np.uint8)
 
 
-def _to_text(array: np.ndarray) -> str:
-    return array.tobytes().decode()
+def _to_text(array: np.ndarray) -> bytes:
+    """UTF-8, of an array of bytes."""
+    if array.dtype != np.uint8 or array.ndim != 1:
+        raise ValueError("a text in it is none")
+    return array.tobytes()

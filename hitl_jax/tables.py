@@ -64,6 +64,7 @@ until then."""
 
 _TEXT = {"mode": MODES, "end": ENDS}
 _FLOATS = ("return", "shaped_return", "mean_boundary", "final_boundary", "lead_steps")
+_MOST_COUNT = 2**53
 _MAY_BE_NAN = ("mean_boundary", "final_boundary", "lead_steps")
 
 
@@ -134,6 +135,32 @@ def cells_from_csv(text: str, names: tuple[str, ...]) -> dict[str, tuple[str, ..
     return dict(zip(names, cells, strict=True))
 
 
+def numbers_from_csv(text: str, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """A CSV whose cells are all finite numbers, float64 [T] by column.
+
+    Raises:
+        ValueError: one line saying what is wrong.
+    """
+    return {name: finite(name, cells) for name, cells in cells_from_csv(text, names).items()}
+
+
+def finite(name: str, cells: Sequence[str], or_nan: bool = False) -> np.ndarray:
+    """Cells of a column as finite numbers, float64 [T].
+
+    Args:
+        name: of the column.
+        cells: as text.
+        or_nan: whether NaN is a number too.
+
+    Raises:
+        ValueError: one line naming the column.
+    """
+    numbers = np.array([float(cell) for cell in cells], np.float64)
+    if not (np.isfinite(numbers) | (np.isnan(numbers) & or_nan)).all():
+        raise ValueError(f"column {name!r} holds a value that is not finite")
+    return numbers
+
+
 def select(table: Table, column: str, value: str) -> Table:
     """The rows in which `column` is `value`."""
     rows = table[column] == value
@@ -161,4 +188,7 @@ def _column(name: str, values: object) -> np.ndarray:
         return numbers
     if (numbers != np.floor(numbers)).any():
         raise ValueError(f"column {name!r} holds a value that is not a whole number")
+    most = 1 if name == "fall" else _MOST_COUNT
+    if ((numbers < 0) | (numbers > most)).any():
+        raise ValueError(f"column {name!r} holds a value that is not from 0 to {most}")
     return numbers.astype(np.int64)

@@ -218,7 +218,7 @@ def test_a_folder_that_is_in_use_is_refused(copied, capsys):
 def test_a_foreign_file_is_refused(text, tmp_path):
     path = tmp_path / "runs.csv"
     path.write_text(text)
-    with pytest.raises(ResultsError, match="is not a file of this command's runs"):
+    with pytest.raises(ResultsError, match="damaged: the header is not setting,method,seed"):
         Store(path)
 
 

@@ -24,13 +24,14 @@ def _folder(path, source, carry=0.25):
     config = AgentConfig(hidden_sizes=(16,), boundary_source=source)
     folder = ResultsFolder(path)
     hyper = dataclasses.asdict(Hyper(initial_boundary=0.6))
-    document = {"agent": dataclasses.asdict(config), "hyper": hyper, "episodes": 7}
+    document = {"agent": dataclasses.asdict(config), "hyper": hyper, "episodes": 1}
     folder.create_or_resume(document, "command")
     state = agents.init(agents.make_agent(config), jax.random.key(0))
-    info = {"config": {}, "versions": {}, "commit": None}
+    info = {"config": document, "versions": {}, "commit": None}
     info |= {"wall_seconds": 1.0, "env_steps": 0, "updates": 0}
-    tables = ({name: [] for name in names} for names in (EPISODE_COLUMNS, TEST_COLUMNS))
-    folder.save_run(_KEY, *tables, checkpoint.flatten(state, np.float32(carry)), info)
+    episodes = {name: [0] for name in EPISODE_COLUMNS} | {"end": ["fall"]}
+    tests = {name: [] for name in TEST_COLUMNS}
+    folder.save_run(_KEY, episodes, tests, checkpoint.flatten(state, np.float32(carry)), info)
     return folder
 
 
@@ -63,7 +64,7 @@ def test_the_rule_has_no_map(tmp_path, capsys):
 def test_a_run_comes_back_as_it_trained(tmp_path):
     folder = _folder(tmp_path / "out", "network")
     assert agent_of(folder).config.hidden_sizes == (16,)
-    spec, end = load_trained(folder, _KEY)
-    assert (spec.method, spec.seed, spec.episodes) == ("hitl-ac", 0, 7)
+    spec, end = load_trained(agent_of(folder), folder, _KEY)
+    assert (spec.method, spec.seed, spec.episodes) == ("hitl-ac", 0, 1)
     assert spec.hyper.initial_boundary == 0.6
     assert end.boundary == np.float32(0.25)

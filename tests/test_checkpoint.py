@@ -20,8 +20,8 @@ def saved(tmp_path):
 
 def test_round_trip(saved):
     path, train = saved
-    with np.load(path, allow_pickle=False) as archive:
-        networks = checkpoint.unflatten(archive)
+    agent = agents.make_agent(AgentConfig(hidden_sizes=(16, 8)))
+    networks = checkpoint.networks_of(agent, checkpoint.load(path))
     jax.tree.map(np.testing.assert_array_equal, networks["actor"], train.learner.actor)
     jax.tree.map(np.testing.assert_array_equal, networks["boundary_critic"], train.boundary.critic)
     assert networks["boundary"] == np.float32(0.4)

@@ -24,7 +24,11 @@ from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey
 from hitl_jax.tables import EPISODE_COLUMNS, METHODS, PROGRESS_COLUMNS, TEST_COLUMNS
 
-INFO = {"config": {}, "versions": {}, "commit": None, "updates": 1}
+CONFIG = {
+    "agent": {"indicator": "hull_angle", "boundary_source": "rule"},
+    "hyper": {"initial_boundary": 0.7, "delta_minus": 1e-3, "delta_plus": 1e-3},
+}
+INFO = {"config": CONFIG, "versions": {}, "commit": None, "updates": 1}
 NAMES = (
     "figure4_training",
     "figure4_steps",
@@ -81,9 +85,7 @@ def text_of(figure) -> str:
 @pytest.fixture
 def folder(tmp_path):
     folder = ResultsFolder(tmp_path / "out")
-    agent = {"indicator": "hull_angle", "boundary_source": "rule"}
-    hyper = {"initial_boundary": 0.7, "delta_minus": 1e-3, "delta_plus": 1e-3}
-    folder.create_or_resume({"agent": agent, "hyper": hyper}, "command")
+    folder.create_or_resume(CONFIG, "command")
     return folder
 
 
@@ -409,10 +411,10 @@ def test_without_matplotlib_there_is_one_line(plain, monkeypatch):
 
 
 def test_a_full_disk_is_the_folders_error(plain, monkeypatch):
-    def full(path, data):
+    def full(descriptor):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(files, "_write_synced", full)
+    monkeypatch.setattr(files.os, "fsync", full)
     with pytest.raises(ResultsError, match=r"figure4_training\.png: No space left on device"):
         draw_all(plain, rng())
 

@@ -13,6 +13,7 @@ import pytest
 from hitl_jax import files, provenance, results
 from hitl_jax.differences import ConfigMismatch
 from hitl_jax.files import ResultsError, write_text_atomic
+from hitl_jax.recording import Recording
 from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey
 from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
@@ -69,6 +70,13 @@ def save(folder: ResultsFolder, key: RunKey = KEY) -> None:
     folder.save_run(key, make_episodes(), make_tests(), make_params(), make_info())
 
 
+def as_of_format_1(folder: ResultsFolder, key: RunKey = KEY) -> None:
+    """Writes run.json as it was before it had digests."""
+    path = folder.path / "runs" / key.method / f"seed-{key.seed:04d}" / "run.json"
+    document = json.loads(path.read_text()) | {"format": 1}
+    path.write_text(json.dumps({k: v for k, v in document.items() if k not in ("digest", "files")}))
+
+
 def everything_below(path) -> set[str]:
     return {str(p.relative_to(path)) for p in path.rglob("*")}
 
@@ -123,6 +131,7 @@ def test_tests_during_training_are_kept_and_may_be_missing(folder):
     progress = {name: tests[name] for name in TEST_COLUMNS[1:]} | {"trained": [200, 400]}
     folder.save_run(KEY, make_episodes(), tests, make_params(), make_info(), progress)
     assert folder.load_run(KEY).progress["trained"].tolist() == [200, 400]
+    as_of_format_1(folder)
     (folder.path / "runs/hitl-ac/seed-0003/progress.csv").unlink()  # as of an older program
     assert len(folder.load_run(KEY).progress["trained"]) == 0
 
@@ -171,11 +180,11 @@ def test_a_killed_process_leaves_what_a_resume_removes(folder):
     save(folder, RunKey("srl", 0))
     whole = everything_below(folder.path)
     # As after a kill -9 in the middle of `save_run` and of `write_partial`.
-    half = folder.path / "runs/srl/.tmp-0123456789abcdef-seed-0001"
+    half = folder.path / "runs/srl/.tmp-0123456789abcdef"
     half.mkdir()
     (half / "episodes.csv").write_text("episode,ret")
     (folder.path / "partial").mkdir()
-    (folder.path / "partial/.tmp-fedcba9876543210-srl-seed-0002.csv").write_text("epi")
+    (folder.path / "partial/.tmp-fedcba9876543210").write_text("epi")
     assert folder.finished() == {RunKey("srl", 0)}
     assert folder.load_partials() == {}
     folder.create_or_resume(CONFIG, "again")
@@ -285,9 +294,11 @@ def test_folders_that_cannot_be_used(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
-        ("run.json", "{", "damaged: Expecting property name"),
-        ("run.json", '{"format": 2}', "is not of format 1"),
-        ("run.json", '{"format": 1}', "damaged: lacks config"),
+        ("run.json", "{", "damaged: Input data was truncated"),
+        ("run.json", '{"format": 3}', "damaged: is not of format 2"),
+        ("run.json", '{"format": true}', "damaged: is not of format 2"),
+        ("run.json", '{"format": 2}', "damaged: its digest is not"),
+        ("run.json", '{"format": 1}', "damaged: Object missing required field `method`"),
         ("run.json", None, "No such file"),
         ("episodes.csv", "", "damaged: the header is not episode,return"),
         ("episodes.csv", "episode,return\n", "damaged: the header"),
@@ -300,6 +311,8 @@ def test_a_damaged_run_names_the_file_in_one_line(folder, name, content, says):
     save(folder)
     path = folder.path / "runs/hitl-ac/seed-0003" / name
     path.unlink()
+    if name != "run.json":
+        as_of_format_1(folder)
     if content is not None:
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(ResultsError, match=f"{name}: {says}") as caught:
@@ -309,6 +322,7 @@ def test_a_damaged_run_names_the_file_in_one_line(folder, name, content, says):
 
 def test_damaged_cells_are_named(folder):
     save(folder)
+    as_of_format_1(folder)
     path = folder.path / "runs/hitl-ac/seed-0003/episodes.csv"
     text = path.read_text()
     for old, new, says in (
@@ -316,6 +330,9 @@ def test_damaged_cells_are_named(folder):
         ("-0.1", "zero", "column 'shaped_return': could not convert"),
         ("-0.1", "", "column 'shaped_return' holds a value that is missing"),
         ("\n2,", "\n2.5,", "column 'episode' holds a value that is not a whole number"),
+        ("\n2,", "\n-2,", "column 'episode' holds a value that is not from 0 to"),
+        ("\n2,", "\n1e300,", "column 'episode' holds a value that is not from 0 to"),
+        ("goal", "g" * 200_000, "field larger than field limit"),
         ("12.0\n", "12.0", "line 2 has 31 of 16 cells"),
     ):
         path.write_text(text.replace(old, new, 1))
@@ -324,6 +341,25 @@ def test_damaged_cells_are_named(folder):
     path.write_text(text[:-1])
     with pytest.raises(ResultsError, match="line 5 is cut short"):
         folder.load_run(KEY)
+
+
+@pytest.mark.parametrize("name", results.RUN_FILES)
+def test_a_file_of_another_run_is_refused(folder, name):
+    """Also where it is whole, as after a careless copy."""
+    save(folder)
+    columns = make_episodes()
+    columns["return"] = columns["return"] + 1.0
+    tests = make_tests() | {"return": [1.0, 2.0]}
+    progress = {name: tests[name] for name in TEST_COLUMNS[1:]} | {"trained": [200, 400]}
+    params = {name: array + 1 for name, array in make_params().items()}
+    steps = np.zeros((1, 9), np.float32)
+    recordings = {"best": Recording(1, steps)}
+    other = RunKey("srl", 0)
+    folder.save_run(other, columns, tests, params, make_info(), progress, recordings)
+    runs = folder.path / "runs"
+    (runs / "hitl-ac/seed-0003" / name).write_bytes((runs / "srl/seed-0000" / name).read_bytes())
+    with pytest.raises(ResultsError, match=f"{name}: damaged: is not the file that run.json names"):
+        folder.load_run(KEY), folder.load_params(KEY), folder.load_recordings(KEY)
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut", b"not an archive"])

@@ -22,7 +22,8 @@ def _run(ticks, new, key=_KEY):
     """A run after so many ticks, with its latest frames; frame t holds the number t."""
     columns = {name: np.asarray(values).tolist() for name, values in make_episodes().items()}
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-    facts = {**dataclasses.asdict(key), "ticks": ticks, "episodes": rows}
+    facts = dataclasses.asdict(key) | {"ticks": ticks, "env_steps": ticks, "updates": 0}
+    facts |= {"seconds": 1.5, "begun": True, "diverged": None, "recordings": {}, "episodes": rows}
     return SavedRun(
         facts=facts,
         train=np.arange(3, dtype=np.uint32),

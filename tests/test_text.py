@@ -168,7 +168,12 @@ def test_tables_keep_their_columns(name):
 def test_a_configuration_of_any_name_is_a_line_of_the_tuning(tmp_path):
     options = tuning.TuningOptions(seeds=1)
     stage = {"ticks": 2, "seconds": 1.0, "srl": [1.0], "hitl-fix": [1.0], "hitl-ac": [1.0]}
-    asked = {"budget": tuning._budget(options), "hyper": {"warmup_steps": 0}}
+    asked = {
+        "budget": tuning._budget(options),
+        "agent": {},
+        "loop": {},
+        "hyper": {"warmup_steps": 0},
+    }
     done = {"asked": asked, "commit": None, "stages": [stage] * 3}
     done["tests"] = {method: [1.0] for method in METHODS}
     (tmp_path / "a|b – c.json").write_text(json.dumps(done), encoding="utf-8")
@@ -210,5 +215,5 @@ def test_a_command_that_is_no_text_can_be_read_again(tmp_path):
     folder = ResultsFolder(tmp_path / "out")
     folder.create_or_resume({"gamma": 0.9}, "hitl-jax sweep --out \udcff τ")
     written = (folder.path / "config.json").read_bytes()
-    assert json.loads(written.decode("ascii"))["command"].endswith("\udcff τ")
+    assert json.loads(written.decode("ascii"))["command"].endswith("--out ? τ")
     assert folder.create_or_resume({"gamma": 0.9}, "again") == []

@@ -22,11 +22,11 @@ from hitl_jax.figure_parts import (
     save,
 )
 from hitl_jax.figures import boundary_label, tolerance_in
-from hitl_jax.files import named_errors
+from hitl_jax.files import named_errors, read_bytes
 from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey
 from hitl_jax.summary import STEPS_PER_SECOND
-from hitl_jax.tables import METHODS, cells_from_csv
+from hitl_jax.tables import METHODS, cells_from_csv, finite
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,7 +61,7 @@ def draw(folder: ResultsFolder) -> Drawn:
     """
     path = folder.path / DATA
     with named_errors(path):
-        methods = _load(path.read_text(encoding="utf-8"))
+        methods = _load(read_bytes(path).decode())
 
     def make() -> list[pathlib.Path]:
         return save(_figure(methods, folder), folder.path / "figures" / _NAME)
@@ -70,19 +70,40 @@ def draw(folder: ResultsFolder) -> Drawn:
 
 
 def _load(text: str) -> dict[str, _Counts]:
+    """The counts of each method.
+
+    Raises:
+        ValueError: one line, if they are not of runs and boundaries, each once.
+    """
     cells = cells_from_csv(text, COLUMNS)
+    if unknown := set(cells["method"]) - set(METHODS):
+        raise ValueError(f"method {min(unknown)[:50]!r}: must be one of {', '.join(METHODS)}")
+    numbers = {name: finite(name, cells[name], name in _COUNTS) for name in COLUMNS[1:]}
+    for name in ("seed", *_COUNTS):
+        known = numbers[name][~np.isnan(numbers[name])]
+        if (known < 0).any() or (known != np.floor(known)).any():
+            raise ValueError(f"column {name!r}: must be whole numbers of at least 0")
     methods = {}
     for method in METHODS:
-        own = [row for row, name in enumerate(cells["method"]) if name == method]
-        if not own:
-            continue
-        seeds = sorted({int(cells["seed"][row]) for row in own})
-        numbers = {
-            name: np.array([float(cells[name][row]) for row in own]).reshape(len(seeds), -1)
-            for name in ("boundary", *_COUNTS)
-        }
-        methods[method] = _Counts(seeds, numbers.pop("boundary")[0], numbers)
+        own = np.array(cells["method"]) == method
+        if own.any():
+            methods[method] = _of_method({name: values[own] for name, values in numbers.items()})
     return methods
+
+
+def _of_method(numbers: dict[str, np.ndarray]) -> _Counts:
+    seeds, counts = np.unique(numbers["seed"], return_counts=True)
+    by_seed = {name: values.reshape(len(seeds), -1) for name, values in numbers.items()}
+    boundaries = by_seed["boundary"]
+    if len(set(counts)) > 1 or (by_seed["seed"] != seeds[:, None]).any():
+        raise ValueError(
+            "column 'seed': must have as many boundaries for each, one after the other"
+        )
+    if (boundaries != boundaries[0]).any() or (np.diff(boundaries[0]) <= 0).any():
+        raise ValueError("column 'boundary': must rise, alike for each seed")
+    return _Counts(
+        [int(seed) for seed in seeds], boundaries[0], {name: by_seed[name] for name in _COUNTS}
+    )
 
 
 def _figure(methods: dict[str, _Counts], folder: ResultsFolder) -> Figure:

@@ -74,7 +74,7 @@ def main(options: AlarmOptions) -> int:
         with contextlib.closing(make_pool(playing_backend(folder), options.episodes)) as pool:
             evaluator = Evaluator(agent, pool)
             for number, key in enumerate(keys, start=1):
-                spec, end = load_trained(folder, key)
+                spec, end = load_trained(agent, folder, key)
                 boundaries = np.linspace(0.0, spec.hyper.boundary_high, NUM_BOUNDARIES)
                 counts = _count(agent, evaluator, spec, end, boundaries)
                 rows += _rows(key, boundaries, counts)

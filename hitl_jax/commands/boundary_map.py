@@ -22,10 +22,10 @@ from hitl_jax.envs import make_pool
 from hitl_jax.evaluation import Evaluator, evaluate_policies
 from hitl_jax.figure_parts import COLUMN, GREY, Drawn, attempt, panels, save
 from hitl_jax.figures import boundary_label, tolerance_in
-from hitl_jax.files import ResultsError, named_errors, write_text_atomic
+from hitl_jax.files import ResultsError, named_errors, read_bytes, write_text_atomic
 from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey
-from hitl_jax.tables import cells_from_csv
+from hitl_jax.tables import numbers_from_csv
 
 DATA = "boundary_map.csv"
 """In a results folder."""
@@ -143,13 +143,19 @@ def told(folder: ResultsFolder) -> tuple[np.ndarray, np.ndarray]:
 
 def _cells(folder: ResultsFolder) -> list[np.ndarray]:
     """The columns of the data, [C] each."""
-    cells = cells_from_csv((folder.path / DATA).read_text(encoding="utf-8"), _COLUMNS)
-    return [np.array(column, float) for column in cells.values()]
+    data = numbers_from_csv(read_bytes(folder.path / DATA).decode(), _COLUMNS)
+    angles, velocities, steps, boundary = data.values()
+    if (steps < 1).any() or (steps != np.floor(steps)).any():
+        raise ValueError("steps: must be whole numbers of at least 1")
+    for name, values, edges in (("angle", angles, _ANGLES), ("velocity", velocities, _VELOCITIES)):
+        if ((values < edges[0]) | (values > edges[-1])).any():
+            raise ValueError(f"{name}: must be from {edges[0]:g} to {edges[-1]:g}")
+    return [angles, velocities, steps, boundary]
 
 
 def _visits(agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunKey) -> np.ndarray:
     """Hull angle, angular velocity and boundary of every step of the tests, [T, 3]."""
-    spec, end = load_trained(folder, key)
+    spec, end = load_trained(agent, folder, key)
     layout = agent.layout
     visited: list[np.ndarray] = []
 

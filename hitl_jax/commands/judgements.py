@@ -1,17 +1,20 @@
 """Judgements of a person, step by step, as a file: what `--human recorded:FILE` reads."""
 
 import hashlib
-import io
 import pathlib
 
 import numpy as np
 
-from hitl_jax.files import write_bytes_atomic
+from hitl_jax.archives import Form, from_npz, to_npz
+from hitl_jax.files import read_bytes, write_bytes_atomic
 from hitl_jax.human import HumanPart, recorded
+from hitl_jax.results import ResultsFolder
 
 SIMULATED = "simulated"
 PREFIX = "recorded:"
 _IN_FOLDER = "human.npz"
+_MOST_STEPS = 2**30
+"""That a person may have judged."""
 
 
 def write(path: pathlib.Path, dangerous: np.ndarray) -> None:
@@ -20,9 +23,7 @@ def write(path: pathlib.Path, dangerous: np.ndarray) -> None:
     Raises:
         ResultsError: if it cannot be written.
     """
-    file = io.BytesIO()
-    np.savez_compressed(file, allow_pickle=False, dangerous=dangerous)
-    write_bytes_atomic(path, file.getvalue())
+    write_bytes_atomic(path, to_npz({"dangerous": dangerous}, np.savez_compressed))
 
 
 def load(human: str) -> np.ndarray | None:
@@ -54,32 +55,39 @@ def keep(folder: pathlib.Path, dangerous: np.ndarray | None) -> None:
         write(folder / _IN_FOLDER, dangerous)
 
 
-def load_kept(folder: pathlib.Path) -> np.ndarray | None:
-    """What `keep` has kept, bool [T]; None where the human was simulated.
-
-    Raises:
-        ValueError: one line, if the file is damaged.
-    """
-    path = folder / _IN_FOLDER
-    return _read(path, PREFIX + str(path)) if path.exists() else None
-
-
-def kept(folder: pathlib.Path) -> HumanPart | None:
+def kept(folder: ResultsFolder) -> HumanPart | None:
     """The recorded human of results; None where it was simulated.
 
     Raises:
-        ValueError: one line, if the file is damaged.
+        ValueError: one line, if the file is missing, damaged or another.
     """
     dangerous = load_kept(folder)
     return None if dangerous is None else recorded(dangerous)
 
 
-def _read(path: pathlib.Path, human: str) -> np.ndarray:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            dangerous: np.ndarray = archive["dangerous"]
-    except Exception as error:  # A flipped bit can make of zipfile's and NumPy's errors any.
-        raise ValueError(f"--human {human}: is no file of `hitl-jax recorded`") from error
-    if dangerous.dtype != bool or dangerous.ndim != 1:
-        raise ValueError(f"--human {human}: its judgements are no bool [T]")
+def load_kept(folder: ResultsFolder) -> np.ndarray | None:
+    """What `keep` has kept, bool [T]; None where the human was simulated.
+
+    Raises:
+        ValueError: one line, if the file is missing, damaged or another.
+    """
+    made_with = folder.load_config().get("human")
+    if made_with is None:
+        return None
+    path = folder.path / _IN_FOLDER
+    dangerous = _read(path, PREFIX + str(path))
+    if digest(dangerous) != {"human": made_with}:
+        raise ValueError(f"{path}: is not the human that {folder.path} was made with")
     return dangerous
+
+
+def _read(path: pathlib.Path, human: str) -> np.ndarray:
+    def require(forms: dict[str, Form]) -> None:
+        [dangerous] = forms.values()
+        if "dangerous" not in forms or dangerous.dtype != bool or len(dangerous.shape) != 1:
+            raise ValueError("its judgements are no bool [T]")
+
+    try:
+        return from_npz(read_bytes(path), _MOST_STEPS, require)["dangerous"]
+    except ValueError as error:
+        raise ValueError(f"--human {human}: is no file of `hitl-jax recorded`") from error

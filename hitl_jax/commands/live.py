@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import dataclasses
-import io
 import os
 import pathlib
 import secrets
@@ -13,12 +12,11 @@ import sys
 import webbrowser
 from typing import Annotated, Any
 
-import jax
-import numpy as np
 import tyro
 
 from hitl_jax import checkpoint, human_actions
-from hitl_jax.agent import make_agent
+from hitl_jax.agent import Agent, make_agent
+from hitl_jax.archives import to_npz
 from hitl_jax.commands.cli import BadInput, checking_input
 from hitl_jax.commands.compile_cache import keep_programs
 from hitl_jax.commands.options import require_team
@@ -164,7 +162,7 @@ def setup_of(options: LiveOptions) -> Setup:
         agent = make_agent(config, judge=person.judge(), source=hands)
     else:
         agent = make_agent(config, source=assistant)
-    setup = Setup(
+    return Setup(
         agent=agent,
         hyper=hyper,
         loop=options.loop,
@@ -172,13 +170,8 @@ def setup_of(options: LiveOptions) -> Setup:
         seed=options.seed,
         with_person=options.with_person,
         learns=options.mode != "test",
-        start=None if options.start is None else _networks(options.start, hyper),
+        start=None if options.start is None else _networks(options.start, agent, hyper),
     )
-    try:
-        jax.eval_shape(lambda: setup.first_train(jax.random.key(0)))
-    except ValueError as error:
-        raise ValueError(f"--start {options.start}: {error}") from error
-    return setup
 
 
 def main(options: LiveOptions) -> int:
@@ -215,7 +208,7 @@ def main(options: LiveOptions) -> int:
         _go_on(session, lines, path)
         code = _serve(options, session, noted, listening)
         kept = path.with_name(f"{path.name}.npz")
-        write_bytes_atomic(kept, _archive(checkpoint.flatten(*session.networks())))
+        write_bytes_atomic(kept, to_npz(checkpoint.flatten(*session.networks())))
         print(f"Played {session.frame.number:,} frames; what was learned: {kept}")
         return code
 
@@ -297,30 +290,18 @@ def _listen(port: int) -> socket.socket:
     return listening
 
 
-def _networks(path: str, hyper: RunHyper) -> dict[str, Any]:
+def _networks(path: str, agent: Agent, hyper: RunHyper) -> dict[str, Any]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        networks = checkpoint.unflatten(arrays)
+        networks = checkpoint.networks_of(agent, checkpoint.load(path))
         boundary = float(networks["boundary"])
-        finite = all(np.isfinite(array).all() for array in arrays.values())
-    except Exception as error:  # A flipped bit can make of zipfile's and NumPy's errors any.
-        raise ValueError(f"--start {path}: is no checkpoint that can be read") from error
-    if not finite:
-        raise ValueError(f"--start {path}: not all its numbers are finite")
-    low, high = float(hyper.boundary_low), float(hyper.boundary_high)
-    if not low <= boundary <= high:  # As of a run whose boundary was no number that a rule moves.
-        raise ValueError(
-            f"--start {path}: its boundary {boundary:g}: must be at least {low:g} and at most "
-            f"{high:g}"
-        )
+        low, high = float(hyper.boundary_low), float(hyper.boundary_high)
+        if not low <= boundary <= high:
+            raise ValueError(
+                f"its boundary {boundary:g}: must be at least {low:g} and at most {high:g}"
+            )
+    except ValueError as error:
+        raise ValueError(f"--start {path}: {error}") from error
     return networks
-
-
-def _archive(arrays: dict[str, np.ndarray]) -> bytes:
-    file = io.BytesIO()
-    np.savez(file, allow_pickle=False, **arrays)
-    return file.getvalue()
 
 
 def _has_display() -> bool:

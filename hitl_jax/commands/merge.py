@@ -56,7 +56,7 @@ def main(options: MergeOptions) -> int:
                 _require_finished(folder, shard)
             config = folders[0].load_config()
             with checking_input():
-                dangerous = judgements.load_kept(folders[0].path)
+                dangerous = judgements.load_kept(folders[0])
             held.enter_context(locked(out.path))
             command = shlex.join(["hitl-jax", "merge", *sys.argv[1:]])
             out.create_or_resume(config, command)
@@ -84,10 +84,7 @@ def _shard_of(folder: ResultsFolder) -> Shard:
     said = folder.load_shard()
     if said is None:
         raise ResultsError(f"{folder.path}: is no shard: it was made without --shard")
-    try:
-        return Shard(**said)
-    except TypeError as error:
-        raise ResultsError(f"{folder.path}: config.json: its shard is damaged") from error
+    return Shard(**said)
 
 
 def _require_finished(folder: ResultsFolder, shard: Shard) -> None:

@@ -72,7 +72,7 @@ def play_tests(
     Raises:
         ResultsError: if the run is not there, or is not of this program.
     """
-    spec, end = load_trained(folder, key)
+    spec, end = load_trained(agent, folder, key)
     seen: list[np.ndarray] = []
 
     def watch(decided: np.ndarray, active: np.ndarray) -> None:

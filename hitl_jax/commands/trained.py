@@ -1,18 +1,21 @@
 """Walkers of a results folder as they were when training ended."""
 
-from typing import Any
+import dataclasses
+from typing import TypeVar
 
 from hitl_jax import checkpoint
 from hitl_jax.agent import Agent
 from hitl_jax.commands import judgements
 from hitl_jax.commands.training import make_team, policy_digest
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.files import ResultsError
-from hitl_jax.human import HumanParams
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, validate_hyper
+from hitl_jax.documents import checked
+from hitl_jax.files import ResultsError, named_errors
 from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey, sort_keys
 from hitl_jax.runs import RunSpec, Snapshot
 from hitl_jax.types import Behavior
+
+T = TypeVar("T")
 
 
 def agent_of(folder: ResultsFolder, human_policy: str | None = None) -> Agent:
@@ -26,13 +29,8 @@ def agent_of(folder: ResultsFolder, human_policy: str | None = None) -> Agent:
         ResultsError: if the folder was not written by this program.
         ValueError: if the file is no such checkpoint.
     """
-    choices = _section(folder, "agent")
-    lists = {name: tuple(value) for name, value in choices.items() if isinstance(value, list)}
-    try:
-        config = AgentConfig(**choices | lists)
-    except (TypeError, ValueError) as error:
-        raise ResultsError(f"{folder.path}: config.json: {error}") from error
-    return make_team(config, human_policy, judgements.kept(folder.path))
+    config = _section(folder, "agent", AgentConfig)
+    return make_team(config, human_policy, judgements.kept(folder))
 
 
 def require_same_human(folder: ResultsFolder, human_policy: str | None) -> None:
@@ -62,26 +60,42 @@ def able_to_play(folder: ResultsFolder) -> list[RunKey]:
     return [key for key in keys if key not in lost]
 
 
-def load_trained(folder: ResultsFolder, key: RunKey) -> tuple[RunSpec, Snapshot]:
+def load_trained(agent: Agent, folder: ResultsFolder, key: RunKey) -> tuple[RunSpec, Snapshot]:
     """A finished run and what acts at its end.
+
+    Args:
+        agent: the team of `agent_of`.
+        folder: the results.
+        key: the run.
 
     Raises:
         ResultsError: if the run is not there, or is not of this program.
     """
-    numbers = _section(folder, "hyper")
-    try:
-        hyper = Hyper(**numbers | {"human": HumanParams(**numbers["human"])})
-        params = checkpoint.unflatten(folder.load_params(key))
-        acts = Behavior(actor=params["actor"], boundary_actor=params["boundary_actor"])
+    hyper = _section(folder, "hyper", Hyper)
+    arrays = folder.load_params(key)
+    with named_errors(folder.path):
+        validate_hyper(hyper)
         method = Method(key.method)
-        spec = RunSpec(method, key.seed, hyper_for(method, hyper), folder.load_config()["episodes"])
-        return spec, Snapshot(spec.episodes, acts, params["boundary"])
-    except (TypeError, ValueError, KeyError) as error:
-        raise ResultsError(f"{folder.path}: {key}: {error}") from error
+    with named_errors(folder.path / "runs" / key.file_name / "params.npz"):
+        params = checkpoint.networks_of(agent, arrays)
+    acts = Behavior(actor=params["actor"], boundary_actor=params["boundary_actor"])
+    spec = RunSpec(method, key.seed, hyper_for(method, hyper), folder.load_config()["episodes"])
+    return spec, Snapshot(spec.episodes, acts, params["boundary"])
 
 
-def _section(folder: ResultsFolder, name: str) -> dict[str, Any]:
-    section = folder.load_config().get(name)
-    if not isinstance(section, dict):
+def _section(folder: ResultsFolder, name: str, kind: type[T]) -> T:
+    """A part of config.json as the options that it was written from.
+
+    Raises:
+        ResultsError: if it is not there, or no such options.
+    """
+    config = folder.load_config()
+    section = config.get(name)
+    if not isinstance(section, dict) or "episodes" not in config:
         raise ResultsError(f"{folder.path}: config.json has no {name!r}: not of a sweep")
-    return section
+    with named_errors(folder.path / "config.json"):
+        options = checked(section, kind)
+        known = dataclasses.asdict(options)
+        if unknown := [choice for choice in section if choice not in known]:
+            raise ValueError(f"{name}: {unknown[0]!r} is no option of this program")
+    return options

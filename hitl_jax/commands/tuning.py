@@ -11,6 +11,7 @@ import pathlib
 import time
 from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 import tyro
 
@@ -28,12 +29,14 @@ from hitl_jax.config import (
     require_whole,
 )
 from hitl_jax.differences import completed
+from hitl_jax.documents import checked, plain_from_json
 from hitl_jax.envs import make_pool, require_backend
 from hitl_jax.episodes import FALL_REWARD
 from hitl_jax.evaluation import MOST_TEST_EPISODES, Evaluator, evaluate_runs
 from hitl_jax.provenance import git_commit, short_commit
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import FinishedRun, LoopConfig, Run, RunSpec, num_slots
+from hitl_jax.schemas import Config, Count, Positive, Seconds, Text
 
 _BASE: Changes = {
     "learner": "td3",
@@ -208,12 +211,55 @@ def _returns(runs: list[Run], lost: list[FinishedRun]) -> dict[str, list[float]]
 def _load(path: pathlib.Path) -> dict[str, Any] | None:
     """What this command has written to a file; None where it has not."""
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        data: dict[str, Any] = plain_from_json(files.read_bytes(path), dict[str, Any])
+        checked(data, _Tuned)
+    except ValueError:
         return None
-    if not isinstance(data, dict) or not {"asked", "commit", "stages", "tests"} <= data.keys():
-        return None
-    return data if isinstance(data["asked"], dict) else None
+    return data
+
+
+class _Budget(msgspec.Struct):
+    seeds: Positive
+    first_seed: Count
+    ticks: Positive
+    test_episodes: Positive
+
+
+class _Hyper(msgspec.Struct):
+    warmup_steps: Count
+
+
+class _Asked(msgspec.Struct):
+    budget: _Budget
+    agent: Config
+    loop: Config
+    hyper: _Hyper
+
+
+class _Stage(msgspec.Struct, rename="kebab"):
+    ticks: Positive
+    seconds: Seconds
+    srl: list[float]
+    hitl_fix: list[float]
+    hitl_ac: list[float]
+
+
+_Returns = Annotated[list[float], msgspec.Meta(min_length=1)]
+
+
+class _Tests(msgspec.Struct, rename="kebab"):
+    srl: _Returns
+    hitl_fix: _Returns
+    hitl_ac: _Returns
+
+
+class _Tuned(msgspec.Struct):
+    """What is written of a configuration."""
+
+    asked: _Asked
+    commit: Text | None
+    stages: Annotated[list[_Stage], msgspec.Meta(min_length=1)]
+    tests: _Tests
 
 
 def table(out: pathlib.Path, options: TuningOptions) -> str:

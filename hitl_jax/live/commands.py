@@ -26,6 +26,9 @@ _FIELDS: dict[str, dict[str, type]] = {
     "speed": {"factor": float},
     "seen": {"frame": int},
 }
+_NOTED: dict[str, dict[str, type]] = {"gone": {"frame": int}}
+"""What no page says."""
+
 JUDGING = ("danger", "safe", "take", "let_go", "hands", "assist", "undo", "gone")
 """What changes the session; the others change how fast it is shown. `gone` no page says: it stands
 in a journal where the page of a person, who saw `frame` last, answered no more."""
@@ -46,13 +49,28 @@ def parse(text: str | bytes) -> Command:
         raise ValueError("a message: is not JSON") from error
     if not isinstance(said, dict) or said.get("type") not in list(_FIELDS):
         raise ValueError(f"a message: its type must be one of {', '.join(_FIELDS)}")
-    kind = said["type"]
-    fields = {name: _field(kind, name, said.get(name)) for name in _FIELDS[kind]}
-    return {"type": kind, **fields}
+    return {"type": said["type"], **_fields(said, _FIELDS[said["type"]])}
 
 
-def _field(kind: str, name: str, value: Any) -> Any:
-    wanted = _FIELDS[kind][name]
+def require_known(said: Mapping[str, Any]) -> None:
+    """Refuses what no session has noted.
+
+    Raises:
+        ValueError: one line.
+    """
+    known = _FIELDS | _NOTED
+    if said.get("type") not in list(known):
+        raise ValueError(f"its type must be one of {', '.join(known)}")
+    if set(said) != {"type", *known[said["type"]]}:
+        raise ValueError(f"{said['type']}: its fields must be {', '.join(known[said['type']])}")
+    _fields(said, known[said["type"]])
+
+
+def _fields(said: Mapping[str, Any], wanted: Mapping[str, type]) -> dict[str, Any]:
+    return {name: _field(said["type"], name, wanted[name], said.get(name)) for name in wanted}
+
+
+def _field(kind: str, name: str, wanted: type, value: Any) -> Any:
     if wanted is float:
         if value is None or (value in SPEEDS and not isinstance(value, bool)):
             return value

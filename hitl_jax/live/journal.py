@@ -5,25 +5,39 @@ loses at most the line that it was writing, and the session's last ticks, fewer 
 
 The first line is the setup. Then, by `at`, the frame that came next: what a person said, as
 `hitl_jax.live.commands` has it, with the time; and at the end of a chunk the actions that were
-executed (float32, base64) and a checksum.
+executed (float32, base64) and a checksum of the session. Each line ends with a checksum of itself
+and of the lines above.
 """
 
 import base64
 import errno
 import fcntl
+import hashlib
 import json
 import os
 import pathlib
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from hitl_jax.files import ResultsError, named_errors
+from msgspec import UNSET, Meta, Struct, UnsetType
+
+from hitl_jax.documents import checked, plain_from_json
+from hitl_jax.files import ResultsError, is_there, named_errors, one_line, open_plain, read_bytes
 from hitl_jax.live import commands
 from hitl_jax.live.session import Session
+from hitl_jax.schemas import Count, Positive, Text, Versions
 
-VERSION = 2
+VERSION = 3
+_WITHOUT_SUMS = 2
+"""The version before: its lines have no checksums."""
+
 _BEGINNING = b'{"journal":'
+_SUM = b',"sum":"'
+_FIRST_SUM = b""
+
+BESIDE = (".npz", ".human.npz")
+"""Endings of what commands put beside a journal: what was learned, and what was judged."""
 
 Line = dict[str, Any]
 
@@ -41,22 +55,28 @@ class Journal:
         A last line that was not written to its end is taken off.
 
         Raises:
-            ResultsError: if it cannot be written, or another process writes it.
+            ResultsError: if it cannot be written, is a link or no file, or another process writes
+                it; or if what is put beside it at the end could not have its name.
         """
         self._path = path
         with named_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
+            _require_room(path)
+            self._file = open_plain(path, os.O_RDWR | os.O_APPEND | os.O_CREAT)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             self.close()
             raise ResultsError(f"{path}: another process plays this session") from error
-        whole = path.read_bytes()
+        whole = read_bytes(path)
         beginning = whole[: len(_BEGINNING)]
         if beginning == _BEGINNING[: len(beginning)]:  # Not of a file that is something else.
-            os.truncate(self._file, whole.rfind(b"\n") + 1)
+            whole = whole[: whole.rfind(b"\n") + 1]
+            os.truncate(self._file, len(whole))
         self.is_new = not os.fstat(self._file).st_size
+        # What an earlier version began goes on as it was begun.
+        last = whole.splitlines()[-1:]
+        self._sum = _sum_of(last[0]) if last else _FIRST_SUM
 
     def begin(self, header: Line) -> None:
         """Writes the first line: the setup.
@@ -90,7 +110,17 @@ class Journal:
         os.close(self._file)
 
     def _add(self, line: Line) -> None:
-        text = json.dumps(line, separators=(",", ":")).encode() + b"\n"
+        if not is_there(self._path, self._file):
+            raise ResultsError(
+                f"{self._path}: was removed, or another file was put in its place, while it was "
+                "written: nothing more is noted"
+            )
+        text = json.dumps(line, separators=(",", ":")).encode()
+        after = None
+        if self._sum is not None:
+            after = _next_sum(self._sum, text)
+            text = text[:-1] + _SUM + after + b'"}'
+        text += b"\n"
         size = os.fstat(self._file).st_size
         try:
             with named_errors(self._path):
@@ -99,39 +129,104 @@ class Journal:
         except ResultsError:
             os.truncate(self._file, size)
             raise
+        self._sum = after
+
+
+def _require_room(path: pathlib.Path) -> None:
+    """Refuses a name with which `BESIDE` would be too long for the file system."""
+    most = os.pathconf(path.parent, "PC_NAME_MAX") - max(map(len, BESIDE))
+    if len(os.fsencode(path.name)) > most:
+        raise ResultsError(f"{path}: its name must be of at most {most} bytes")
+
+
+def _sum_of(line: bytes) -> bytes | None:
+    """The checksum that a line carries; None of a version that had none."""
+    _, mark, end = line.rpartition(_SUM)
+    return end.removesuffix(b'"}') if mark else None
+
+
+def _next_sum(before: bytes, line: bytes) -> bytes:
+    """The checksum of a line without one, after the line that had `before`."""
+    return hashlib.blake2b(before + line, digest_size=8).hexdigest().encode()
+
+
+class _Made(Struct):
+    versions: Versions | UnsetType = UNSET
+    commit: Text | UnsetType | None = UNSET
+    processor: Text | UnsetType = UNSET
+
+
+class _Head(Struct):
+    """The first line; its options are checked where they are used."""
+
+    journal: Literal[2, 3]
+    made: _Made | UnsetType = UNSET
+
+
+class _Said(Struct, forbid_unknown_fields=True):
+    """What a person said; `commands` has what."""
+
+    at: Count
+    said: dict[Text, Any]
+    time: float | UnsetType = UNSET
+    label: dict[Text, Any] | UnsetType | None = UNSET
+
+
+class _Played(Struct, forbid_unknown_fields=True):
+    """The end of a chunk."""
+
+    at: Positive
+    actions: Annotated[str, Meta(pattern=r"\A[A-Za-z0-9+/=]*\Z")]
+    digest: Text
 
 
 def read(path: pathlib.Path) -> tuple[Line, list[Line]]:
     """The first line of a journal, and the others but for a last one that is not whole.
 
     Raises:
-        ResultsError: in one line, if it cannot be read or is no journal.
+        ResultsError: in one line, if it cannot be read, is no journal, or is damaged.
     """
+    first, *others = read_bytes(path).split(b"\n")[:-1] or [b""]
     try:
-        text = path.read_bytes().decode()
-    except (OSError, UnicodeDecodeError) as error:
-        said = getattr(error, "strerror", None) or "is no journal of a live session"
-        raise ResultsError(f"{path}: {said}") from error
-    lines = text.split("\n")[:-1]
-    try:
-        header, *others = [json.loads(line) for line in lines]
-        if header["journal"] != VERSION:
-            raise ResultsError(f"{path}: journal {header['journal']}: must be {VERSION}")
-    except ResultsError:
-        raise
-    except (ValueError, KeyError, TypeError) as error:
+        header = plain_from_json(first, dict[Text, Any])
+    except ValueError as error:
         raise ResultsError(f"{path}: is no journal of a live session") from error
-    for number, line in enumerate(others, start=2):
-        if not _is_line(line):
-            raise ResultsError(f"{path}: line {number}: is damaged")
-    return header, others
+    version = header.get("journal")
+    if version not in (VERSION, _WITHOUT_SUMS) or isinstance(version, bool | float):
+        raise ResultsError(f"{path}: journal {str(version)[:20]!r}: must be {VERSION}")
+    before: bytes | None = None if version == _WITHOUT_SUMS else _FIRST_SUM
+    read: list[Line] = []
+    for number, text in enumerate([first, *others], start=1):
+        try:
+            line, before = _line(text, before)
+            checked(line, _Head if number == 1 else _Said if "said" in line else _Played)
+            if "said" in line:
+                commands.require_known(line["said"])
+            if number > 2 and line["at"] < read[-1]["at"]:
+                raise ValueError("its frame is before that of the line above")
+        except ValueError as error:
+            raise ResultsError(f"{path}: line {number}: is damaged: {one_line(error)}") from error
+        read.append(line)
+    return read[0], read[1:]
 
 
-def _is_line(line: Any) -> bool:
-    if not isinstance(line, dict) or type(line.get("at")) is not int:
-        return False
-    said = line.get("said")
-    return "type" in said if isinstance(said, dict) else {"actions", "digest"} <= line.keys()
+def _line(text: bytes, before: bytes | None) -> tuple[Line, bytes | None]:
+    """A line without its checksum, and the checksum.
+
+    Args:
+        text: of the file.
+        before: the checksum of the line above; None of a version that had none.
+
+    Raises:
+        ValueError: in one line, if it is damaged.
+    """
+    if before is not None:
+        content, _, _ = text.rpartition(_SUM)
+        if _sum_of(text) != (after := _next_sum(before, content + b"}")):
+            raise ValueError("its checksum is wrong")
+        text, before = content + b"}", after
+    line: Line = plain_from_json(text, dict[Text, Any])
+    return line, before
 
 
 def play(
@@ -153,6 +248,9 @@ def play(
     """
     chunk = session.setup.loop.chunk
     for line in lines:
+        # Every chunk that was played has its line: nothing is far ahead of the last one.
+        if line["at"] > session.frame.number + chunk:
+            raise ResultsError(f"{path}: at frame {line['at']}: lines are missing before it")
         while session.frame.number < line["at"]:
             before_step()
             session.tick()

@@ -139,15 +139,15 @@ def test_processes_of_one_number_write_a_file_whole(tmp_path, monkeypatch):
 
 
 def test_only_our_own_and_only_stale_leftovers_are_removed(tmp_path):
-    kept = {".tmp-mine", ".tmp-notes.txt", ".tmp-0123456789abcdef-link", ".tmp-short-x", "users"}
+    kept = {".tmp-mine", ".tmp-notes.txt", ".tmp-fedcba9876543210", ".tmp-short-x", "users"}
     (tmp_path / "users").write_text("mine")
     (tmp_path / ".tmp-mine").mkdir()
     (tmp_path / ".tmp-mine" / "file").write_text("mine")
     (tmp_path / ".tmp-notes.txt").write_text("mine")
     (tmp_path / ".tmp-short-x").write_text("mine")
-    (tmp_path / ".tmp-0123456789abcdef-link").symlink_to(tmp_path / ".tmp-mine")
-    (tmp_path / ".tmp-0123456789abcdef-run.json").write_text("{")
-    half = tmp_path / ".tmp-0123456789abcdef-seed-0001"
+    (tmp_path / ".tmp-fedcba9876543210").symlink_to(tmp_path / ".tmp-mine")
+    (tmp_path / ".tmp-0123456789abcdef").write_text("{")
+    half = tmp_path / ".tmp-0123456789abcde0"
     half.mkdir()
     (half / "run.json").write_text("{")
     remove_leftovers(tmp_path)

@@ -6,14 +6,17 @@ import hashlib
 import io
 import json
 import pathlib
+import re
 from typing import Any
 
 from hitl_jax.commands.changes import Parts
 from hitl_jax.commands.training import policy_digest
+from hitl_jax.config import MOST_SEED
 from hitl_jax.differences import CAME_LATER
-from hitl_jax.files import ResultsError, named_errors, write_text_atomic
+from hitl_jax.files import named_errors, read_bytes, write_text_atomic
 from hitl_jax.run_key import RunKey
 from hitl_jax.summary import SUMMARY_COLUMNS
+from hitl_jax.tables import cells_from_csv
 
 Row = dict[str, Any]
 """One run; measures are float, or None where there is no value."""
@@ -107,16 +110,23 @@ def _plain(row: Row) -> Row:
 def _read(path: pathlib.Path) -> dict[RunId, Row]:
     if not path.exists():
         return {}
-    with named_errors(path), open(path, newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        if tuple(reader.fieldnames or ()) != _COLUMNS:
-            raise ResultsError(f"{path}: is not a file of this command's runs")
-        return dict(map(_parse, reader))
+    with named_errors(path):
+        cells = cells_from_csv(read_bytes(path).decode(), _COLUMNS)
+        rows = [
+            _parse(dict(zip(cells, row, strict=True))) for row in zip(*cells.values(), strict=True)
+        ]
+        if len(runs := dict(rows)) < len(rows):
+            raise ValueError("a run is there twice")
+    return runs
 
 
 def _parse(line: dict[str, str]) -> tuple[RunId, Row]:
-    if None in line.values():
-        raise ValueError("a line is cut short")
-    run = RunId(line["setting"], line["method"], int(line["seed"]), line["digest"])
+    seed = line["seed"]
+    if not seed.isdecimal() or int(seed) > MOST_SEED or not line["setting"].isprintable():
+        raise ValueError(f"setting {line['setting'][:50]!r} seed {seed[:20]!r}: is no run's name")
+    run = RunId(line["setting"], line["method"], int(seed), line["digest"])
+    _ = run.key  # Refuses what is no method or no digest.
+    if not re.fullmatch(r"[0-9a-z+-]+", line["commit"]):
+        raise ValueError(f"commit {line['commit'][:50]!r}: is none")
     measures = {name: float(line[name]) if line[name] else None for name in _MEASURES}
     return run, {"commit": line["commit"], **measures}

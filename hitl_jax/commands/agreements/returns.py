@@ -64,7 +64,7 @@ def measure_trained(folders: tuple[str, ...], runs: int, episodes: int) -> list[
         with make_pool(home, episodes) as known, make_pool(away, episodes) as strange:
             evaluators = Evaluator(agent, known), Evaluator(agent, strange)
             for key in keys[:: max(len(keys) // runs, 1)][:runs]:
-                spec, snapshot = load_trained(folder, key)
+                spec, snapshot = load_trained(agent, folder, key)
                 means = []
                 for evaluator in evaluators:
                     tests = evaluate_policies(evaluator, "autonomous", spec, [snapshot])
