@@ -85,12 +85,12 @@ def write_text_atomic(path: pathlib.Path, text: str) -> None:
     write_bytes_atomic(path, text.encode(errors="replace"))
 
 
-def write_bytes_atomic(path: pathlib.Path, data: bytes) -> None:
-    """Writes bytes as `write_text_atomic` writes text."""
+def write_bytes_atomic(path: pathlib.Path, data: bytes, mode: int = 0o666) -> None:
+    """Writes bytes as `write_text_atomic` writes text; `mode` says who may read a new file."""
     require_held(path)
     with named_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with _temporary_file(path) as (temporary, descriptor):
+        with _temporary_file(path, mode) as (temporary, descriptor):
             with open(descriptor, "wb", closefd=False) as file:
                 file.write(data)
             os.fsync(descriptor)
@@ -267,11 +267,11 @@ def _temporary(path: pathlib.Path) -> pathlib.Path:
 
 
 @contextlib.contextmanager
-def _temporary_file(path: pathlib.Path) -> Iterator[tuple[pathlib.Path, int]]:
+def _temporary_file(path: pathlib.Path, mode: int) -> Iterator[tuple[pathlib.Path, int]]:
     """A new, locked file beside a name, and its descriptor; removed if it is not renamed."""
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     with _removed_on_errors(_temporary(path)) as temporary:
-        descriptor = os.open(temporary, flags, 0o666)
+        descriptor = os.open(temporary, flags, mode)
         with _locked_as_ours(descriptor):
             yield temporary, descriptor
 

@@ -252,13 +252,22 @@ class ResultsFolder:
         final, origin = self._run_path(key), source._run_path(key)
         if final.exists():
             raise ResultsError(f"{final}: this run is finished already")
-        source.load_run(key)
-        source.load_params(key)
-        source.load_recordings(key)
-        names = ("run.json", *RUN_FILES)
-        there = [name for name in names if os.path.lexists(origin / name)]
+        source.check_run(key)
+        there = [name for name in ("run.json", *RUN_FILES) if os.path.lexists(origin / name)]
         contents = {name: read_bytes(origin / name, follow=False) for name in there}
         write_folder_atomic(final, contents)
+
+    def check_run(self, key: RunKey) -> None:
+        """Reads all that a run has.
+
+        Raises:
+            ResultsError: if a file is missing, damaged or a link, or the run is of another config.
+        """
+        for path in sorted(self._run_path(key).glob("*")):
+            if path.is_symlink():
+                raise ResultsError(f"{path}: is a link, no file of this run")
+        self.load_params(key)
+        self.load_recordings(key)
 
     def finished(self) -> set[RunKey]:
         """The runs that are on the disk, whole."""

@@ -43,6 +43,18 @@ FORMAT = 4
 _DIGEST_SIZE = 16  # bytes
 _ARRAYS = tuple(name for name in SavedRun._fields if name not in ("facts", "frames"))
 
+_FORMS = {
+    "train": ("u", (1,)),
+    "acting": ("u", (1,)),
+    "behavior": ("f", (2,)),
+    "snapshots": ("f", (1, 2)),
+    "boundaries": ("f", (1, 2)),
+    "observation": ("f", (1,)),
+    "steps": ("f", (2,)),
+    "recordings": ("f", (2,)),
+}
+"""Kind of the numbers, and how many dimensions there may be."""
+
 Lengths = dict[int, dict[str, int]]
 """Frames of each run, by its name, in each numbered file."""
 
@@ -159,6 +171,7 @@ class Saves:
             if lacking := [n for n in (*_ARRAYS, "episodes") if f"{index}/{n}" not in arrays]:
                 raise ValueError(f"lacks {lacking[0]} of run {index}")
             parts = {name: arrays[f"{index}/{name}"] for name in _ARRAYS}
+            _require_forms(facts, parts)
             csv = _to_text(arrays[f"{index}/episodes"]).decode()
             table = {k: v.tolist() for k, v in table_from_csv(csv, EPISODE_COLUMNS).items()}
             rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
@@ -187,6 +200,16 @@ class Saves:
     def _numbers(self, kind: str) -> set[int]:
         found = (re.fullmatch(rf"{kind}-(\d+)\.npz", path.name) for path in self._path.glob("*"))
         return {int(match[1]) for match in found if match}
+
+
+def _require_forms(facts: dict[str, Any], parts: dict[str, np.ndarray]) -> None:
+    """Refuses arrays that are none of a run's; their lengths only the run itself knows."""
+    for name, array in parts.items():
+        kind, dimensions = _FORMS[name]
+        if array.dtype.kind != kind or array.ndim not in dimensions:
+            raise ValueError(f"{name} of a run is {array.dtype} {array.shape}")
+    if sum(length for _, length in facts["recordings"].values()) != len(parts["recordings"]):
+        raise ValueError("the recordings of a run have other lengths than it says")
 
 
 def _by(head: dict[str, Any]) -> str:

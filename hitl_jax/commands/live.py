@@ -10,6 +10,7 @@ import signal
 import socket
 import sys
 import webbrowser
+from collections.abc import Iterator
 from typing import Annotated, Any
 
 import tyro
@@ -227,9 +228,10 @@ def _serve(
     address = f"http://{_HOST}:{port}/?token={token}"
     print(f"The page: {address}\nThe journal: {options.journal}")
     print("Ctrl-C ends; the same command goes on.", flush=True)
-    if options.open_page and _has_display():
-        webbrowser.open(address)
-    with deferred_interrupts() as interrupted:
+    with contextlib.ExitStack() as held:
+        if options.open_page and _has_display():
+            held.enter_context(opened(address, pathlib.Path(options.journal)))
+        interrupted = held.enter_context(deferred_interrupts())
         # Uvicorn gives the signal that ended it on to who had it before.
         asyncio.run(page.serve(page.server(), listening))
         try:
@@ -237,6 +239,29 @@ def _serve(
         except Interrupted as stopped:
             return 0 if stopped.exit_code == 128 + signal.SIGINT else stopped.exit_code
     return 0
+
+
+@contextlib.contextmanager
+def opened(address: str, path: pathlib.Path) -> Iterator[None]:
+    """Opens an address in the browser, which others on this machine cannot see.
+
+    They see the command lines of its processes, and this has the token in it. So the browser gets a
+    file that only the user can read, and that sends it on. The file is there while the page is.
+
+    Args:
+        address: with the token.
+        path: of the journal; the file is put beside it.
+    """
+    door = path.absolute().with_name(path.name + journal.DOOR)
+    # Not in a hidden folder, nor in /tmp: a browser in a container may not read there.
+    page = f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">\n'
+    write_bytes_atomic(door, page.encode(), mode=0o600)
+    try:
+        webbrowser.open(door.as_uri())
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            door.unlink()
 
 
 def _lines_of(path: pathlib.Path, header: dict[str, Any]) -> list[journal.Line]:

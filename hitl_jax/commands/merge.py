@@ -13,6 +13,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 
+import numpy as np
 import tyro
 
 from hitl_jax.commands import judgements
@@ -55,8 +56,7 @@ def main(options: MergeOptions) -> int:
             for folder, shard in zip(folders, shards, strict=True):
                 _require_finished(folder, shard)
             config = folders[0].load_config()
-            with checking_input():
-                dangerous = judgements.load_kept(folders[0])
+            dangerous = _human_of(folders)
             held.enter_context(locked(out.path))
             command = shlex.join(["hitl-jax", "merge", *sys.argv[1:]])
             out.create_or_resume(config, command)
@@ -88,10 +88,10 @@ def _shard_of(folder: ResultsFolder) -> Shard:
 
 
 def _require_finished(folder: ResultsFolder, shard: Shard) -> None:
-    """Makes sure that all runs of a shard are there.
+    """Makes sure that all runs of a shard are there, and that nothing in them is damaged.
 
     Raises:
-        ResultsError: naming one that is not.
+        ResultsError: naming one that is not, or what is damaged.
     """
     finished = folder.finished()
     missing = [key for key in shard.runs() if key not in finished]
@@ -100,6 +100,19 @@ def _require_finished(folder: ResultsFolder, shard: Shard) -> None:
             f"{folder.path}: shard {shard.number}/{shard.of} lacks {len(missing)} of its "
             f"{len(shard.runs())} runs ({missing[0].file_name}): give its command again"
         )
+    for key in shard.runs():
+        folder.check_run(key)
+
+
+def _human_of(folders: Sequence[ResultsFolder]) -> np.ndarray | None:
+    """The recorded human of the shards, bool [T]; None where it was simulated.
+
+    Raises:
+        BadInput: if one of them is damaged.
+    """
+    with checking_input():
+        dangerous, *_ = [judgements.load_kept(folder) for folder in folders]
+    return dangerous
 
 
 def _require_whole(folders: Sequence[ResultsFolder], shards: Sequence[Shard]) -> None:

@@ -36,8 +36,10 @@ _BEGINNING = b'{"journal":'
 _SUM = b',"sum":"'
 _FIRST_SUM = b""
 
-BESIDE = (".npz", ".human.npz")
-"""Endings of what commands put beside a journal: what was learned, and what was judged."""
+DOOR = ".open.html"
+BESIDE = (".npz", ".human.npz", DOOR)
+"""Endings of what commands put beside a journal: what was learned, what was judged, and the file
+that opens the page."""
 
 Line = dict[str, Any]
 

@@ -21,6 +21,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from hitl_jax.live import commands
 from hitl_jax.live.conductor import Conductor, Message
+from hitl_jax.live.doorway import Doorway, make_server
 
 LONGEST_MESSAGE = 4096
 """Of what a page may send [bytes]."""
@@ -173,20 +174,19 @@ class Live:
             token: that the address must carry.
         """
         self._conductor, self._token = conductor, token
+        self._doorway = Doorway()
         self._visitors: list[_Visitor] = []
         self._grace: asyncio.TimerHandle | None = None
 
     def server(self) -> uvicorn.Server:
         """What `serve` takes; to end it, set its `should_exit`."""
-        config = uvicorn.Config(
+        return make_server(
             self._app(),
-            log_level="warning",
-            lifespan="off",
+            self._doorway,
             ws="websockets-sansio",  # the default of older releases is deprecated
             ws_max_size=LONGEST_MESSAGE,
             timeout_graceful_shutdown=1,
         )
-        return uvicorn.Server(config)
 
     async def serve(self, server: uvicorn.Server, listening: socket.socket) -> None:
         """Serves the page and plays the session until the server is told to end.
@@ -237,6 +237,8 @@ class Live:
         if not self._knows(page.query_params.get("token")):
             await page.close(_REFUSED, "the address needs the token that `hitl-jax live` printed")
             return
+        if page.client is not None:
+            self._doorway.admit((page.client.host, page.client.port))
         visitor = _Visitor(page, controls=not any(other.controls for other in self._visitors))
         self._visitors.append(visitor)
         self._conductor.listen(visitor.hear)

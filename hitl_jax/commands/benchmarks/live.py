@@ -12,14 +12,20 @@ import shutil
 import statistics
 import subprocess
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from typing import Any
 
+from hitl_jax.commands.benchmarks.crowd import CROWD, crowd, seconds_of_page
 from hitl_jax.commands.benchmarks.timing import Row
 from hitl_jax.interpreter import child_interpreter
 
 FRAMES_BAR, LATENCY_BAR = 50, 60
+PAGE_BAR, LOG_BAR = 2.0, 1000
+"""Beside a crowd: a new page [s], and the log of a minute [kB]."""
+
+_VISIT_EVERY = 0.5
 _MINUTE_OF = 30.0
 """Stretches of `seconds` that are played: a minute, of the two seconds of the default."""
 _KEYS = 40
@@ -47,27 +53,57 @@ def measure_live(seconds: float) -> list[Row]:
         import websockets  # noqa: F401
     except ImportError:
         return [{"seen by": 'missing: pip install -e ".[live]"'}]
-    with _served() as address:
+    with _served() as (address, _):
         rows = [_by_socket(address, _MINUTE_OF * seconds)]
         rows.append(_by_chromium(address, _MINUTE_OF * seconds))
+    with _served() as (address, log):
+        rows.append(_beside_crowd(address, log, _MINUTE_OF * seconds))
     return rows
 
 
+def _beside_crowd(address: str, log: pathlib.Path, seconds: float) -> Row:
+    """Frames, new pages and log while a crowd of strangers holds connections."""
+    pages: list[float] = []
+    over = threading.Event()
+
+    def visit() -> None:
+        while not over.wait(_VISIT_EVERY):
+            pages.append(seconds_of_page(address))
+
+    visitor = threading.Thread(target=visit)
+    with crowd(int(address.split("/")[2].rpartition(":")[2])):
+        visitor.start()
+        row = _by_socket(address, seconds)
+        over.set()
+        visitor.join()
+    return row | {
+        "seen by": f"the same, beside {CROWD:,} connections that never finish their request",
+        "new pages": len(pages),
+        "slowest page s": round(max(pages), 2),
+        "bar s": PAGE_BAR,
+        "log kB": round(log.stat().st_size / 1000, 1),
+        "bar kB": LOG_BAR,
+    }
+
+
 @contextlib.contextmanager
-def _served() -> Iterator[str]:
-    """The address of the page of a session that learns from its first seconds on."""
+def _served() -> Iterator[tuple[str, pathlib.Path]]:
+    """The address of the page of a session that learns from its first seconds on, and its log."""
     with tempfile.TemporaryDirectory() as folder:
         python, environment = child_interpreter()
         command = [*python, "-m", "hitl_jax", "live", "--port", "0", "--no-open-page"]
         command += ["--warmup-steps", "64", "--journal", str(pathlib.Path(folder) / "session")]
-        with subprocess.Popen(
-            command, stdout=subprocess.PIPE, encoding="utf-8", env=environment
-        ) as server:
+        log = pathlib.Path(folder) / "log"
+        with (
+            open(log, "wb") as errors,
+            subprocess.Popen(
+                command, stdout=subprocess.PIPE, stderr=errors, encoding="utf-8", env=environment
+            ) as server,
+        ):
             assert server.stdout is not None
             try:
-                yield next(
-                    found[0] for line in server.stdout if (found := re.search(r"http://\S+", line))
-                )
+                lines = (re.search(r"http://\S+", line) for line in server.stdout)
+                yield next(found[0] for found in lines if found), log
             finally:
                 server.terminate()
                 server.communicate()
