@@ -20,6 +20,8 @@ _LONGEST_NAME = 500
 _SMALL = 2**20
 """That a file may always unpack to [bytes]."""
 _KINDS = "biuf"
+_PIECE = 2**20
+"""That is read at a time [bytes]."""
 
 
 class Form(NamedTuple):
@@ -55,7 +57,7 @@ def from_npz(
     at_most: int | None = None,
     require: Callable[[dict[str, Form]], None] = lambda forms: None,
 ) -> dict[str, np.ndarray]:
-    """The arrays of a file by name; they cannot be written to.
+    """The arrays of a file by name.
 
     Args:
         data: of the file.
@@ -112,7 +114,13 @@ def _member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Member:
 
 
 def _read(archive: zipfile.ZipFile, member: Member) -> np.ndarray:
+    numbers = np.empty(math.prod(member.form.shape), member.form.dtype)
     with archive.open(member.entry) as file:
-        data = file.read()  # Whole, or its checksum is not looked at.
-    numbers = np.frombuffer(data, member.form.dtype, offset=member.start)
+        file.read(member.start)
+        buffer = memoryview(numbers.view(np.uint8))
+        while piece := file.read(_PIECE):  # To the end, or its checksum is not looked at.
+            buffer[: len(piece)] = piece
+            buffer = buffer[len(piece) :]
+        if len(buffer):
+            raise ValueError(f"array {member.entry.filename!r}: is cut short")
     return numbers.reshape(member.form.shape, order="F" if member.columns_first else "C")

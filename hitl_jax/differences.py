@@ -8,6 +8,7 @@ from hitl_jax.files import ResultsError
 from hitl_jax.provenance import short_commit
 
 _MAX_DIFFERENCES = 5
+_LONGEST = 100
 _THEN = ", then "
 
 CAME_LATER: dict[str, dict[str, Any]] = {"agent": {"matmul_precision": "float32"}}
@@ -55,13 +56,16 @@ def require_same(path: pathlib.Path, has: dict[str, Any], asked: dict[str, Any])
     if not keys:
         return
     lines = [
-        f"{k}: folder has {json.dumps(old[k]) if k in old else 'nothing'}, "
-        f"asked for {json.dumps(new[k]) if k in new else 'nothing'}"
+        f"{k[:_LONGEST]}: folder has {_shown(old, k)}, asked for {_shown(new, k)}"
         for k in sorted(keys)
     ]
     more = [f"and {len(lines) - _MAX_DIFFERENCES} more"] * (len(lines) > _MAX_DIFFERENCES)
     shown = "; ".join(lines[:_MAX_DIFFERENCES] + more)
     raise ConfigMismatch(f"{path}: made with another config: {shown}")
+
+
+def _shown(values: dict[str, Any], name: str) -> str:
+    return json.dumps(values[name])[:_LONGEST] if name in values else "nothing"
 
 
 def changes(made: dict[str, Any], now: dict[str, Any]) -> list[str]:

@@ -4,15 +4,18 @@ Each carries a digest of its own content, so that a file that was damaged is not
 one. Those of format 1 have none: they were written before there was one.
 """
 
+import dataclasses
 import hashlib
 import json
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
 
 FORMAT = 2
 _WITHOUT_DIGEST = 1
+
+T = TypeVar("T")
 
 _DEEPEST = 12
 
@@ -82,6 +85,31 @@ def checked(value: Any, schema: Any) -> Any:
         raise ValueError("is nested too deep") from None
     except msgspec.MsgspecError as error:
         raise ValueError(str(error)) from error
+
+
+def options_of(section: Any, kind: type[T]) -> T:
+    """The options that a section was written from.
+
+    Args:
+        section: of a document.
+        kind: a dataclass.
+
+    Raises:
+        ValueError: one line, if a value cannot be, an option is missing, or a name is of none.
+    """
+    options: T = checked(section, kind)
+    _require_names(section, dataclasses.asdict(options))  # type: ignore[call-overload]
+    return options
+
+
+def _require_names(section: dict[str, Any], known: dict[str, Any]) -> None:
+    for name in [*known, *section]:
+        if name not in section:
+            raise ValueError(f"lacks the option {name!r}")
+        if name not in known:
+            raise ValueError(f"{name[:50]!r}: is no option of this program")
+        if isinstance(known[name], dict):
+            _require_names(section[name], known[name])
 
 
 def require_plain(document: Any) -> None:

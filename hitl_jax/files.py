@@ -91,9 +91,7 @@ def write_bytes_atomic(path: pathlib.Path, data: bytes, mode: int = 0o666) -> No
     with named_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with _temporary_file(path, mode) as (temporary, descriptor):
-            with open(descriptor, "wb", closefd=False) as file:
-                file.write(data)
-            os.fsync(descriptor)
+            _write_synced(descriptor, data)
             os.replace(temporary, path)
         _sync_folder(path.parent)
 
@@ -113,7 +111,8 @@ def write_folder_atomic(path: pathlib.Path, contents: Mapping[str, bytes]) -> No
         path.parent.mkdir(parents=True, exist_ok=True)
         with _temporary_folder(path) as temporary:
             for name, data in contents.items():
-                _write_synced(temporary / name, data)
+                with open(temporary / name, "xb") as file:
+                    _write_synced(file.fileno(), data)
             _sync_folder(temporary)
             os.rename(temporary, path)
         _sync_folder(path.parent)
@@ -308,11 +307,10 @@ def _locked_as_ours(descriptor: int) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _write_synced(path: pathlib.Path, data: bytes) -> None:
-    with open(path, "wb") as file:
+def _write_synced(descriptor: int, data: bytes) -> None:
+    with open(descriptor, "wb", closefd=False) as file:
         file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
+    os.fsync(descriptor)
 
 
 def _sync_folder(path: pathlib.Path) -> None:

@@ -178,7 +178,8 @@ class Saves:
             saved = SavedRun(facts | {"episodes": rows}, frames=np.array([]), **parts)
             name = saved.key.file_name
             has = [file[name] for file in files.values() if name in file]
-            if not has or len({frames.shape[1:] for frames in has}) > 1:
+            shapes = {(frames.dtype.kind, frames.ndim, frames.shape[1:]) for frames in has}
+            if not has or len(shapes) > 1 or next(iter(shapes))[:2] != ("f", 2):
                 raise ValueError(f"has no frames of {saved.key}, or of several kinds")
             frames = np.concatenate(has)
             if len(frames) < min(facts["ticks"], self._capacity):

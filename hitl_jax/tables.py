@@ -6,6 +6,7 @@ an episode. Text columns hold str, counts int64, and the rest float64, NaN where
 
 import csv
 import io
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -123,6 +124,8 @@ def cells_from_csv(text: str, names: tuple[str, ...]) -> dict[str, tuple[str, ..
     Raises:
         ValueError: one line, if the header is another, or a line is cut short.
     """
+    if not text.replace("\n", "").isprintable():  # NumPy's texts end at a NUL.
+        raise ValueError("holds control characters")
     rows = list(csv.reader(io.StringIO(text)))
     if not rows or tuple(rows[0]) != names:
         raise ValueError(f"the header is not {','.join(names[:3])},…")
@@ -155,10 +158,18 @@ def finite(name: str, cells: Sequence[str], or_nan: bool = False) -> np.ndarray:
     Raises:
         ValueError: one line naming the column.
     """
+    _require_digits(name, cells)
     numbers = np.array([float(cell) for cell in cells], np.float64)
     if not (np.isfinite(numbers) | (np.isnan(numbers) & or_nan)).all():
         raise ValueError(f"column {name!r} holds a value that is not finite")
     return numbers
+
+
+def _require_digits(name: str, cells: Sequence[str]) -> None:
+    """Refuses what Python reads as a number and no program writes, such as `1_0` or ` 1`."""
+    if not re.fullmatch("(nan|[-+.0-9e\n])*", "\n".join(cells)):
+        wrong = next((cell for cell in cells if not re.fullmatch("nan|[-+.0-9e]*", cell)), "")
+        raise ValueError(f"column {name!r} holds {wrong[:50]!r}: must be a number")
 
 
 def select(table: Table, column: str, value: str) -> Table:
@@ -177,6 +188,7 @@ def _column(name: str, values: object) -> np.ndarray:
             raise ValueError(f"column {name!r} holds {min(wrong)!r}: not in {_TEXT[name]}")
         return array.astype(str)
     if array.dtype.kind == "U":
+        _require_digits(name, array.tolist())
         array = np.where(array == "", "nan", array)
     try:
         numbers = array.astype(float)

@@ -2,6 +2,7 @@
 
 import errno
 import json
+import os
 import shutil
 
 import hypothesis
@@ -96,8 +97,11 @@ def _damaged(data, damage):
 
 
 def _save(folder, key):
-    recorded = {"best": Recording(2, np.linspace(-1, 1, 270, dtype=np.float32).reshape(30, 9))}
-    files = make_episodes(), make_tests(), make_params(), make_info()
+    steps = np.linspace(-1, 1, 270, dtype=np.float32).reshape(30, 9)
+    steps[:, -4:] = steps[:, -4:] > 0
+    recorded = {"best": Recording(2, steps)}
+    episodes = make_episodes() | {"length": np.full(4, len(steps))}
+    files = episodes, make_tests(), make_params(), make_info()
     folder.save_run(key, *files, recordings=recorded)
 
 
@@ -198,13 +202,13 @@ def _session(folder):
 def test_a_full_disk_costs_nothing_that_is_there(tmp_path, monkeypatch):
     write, left = files._write_synced, 10**6
 
-    def full(path, data):
+    def full(descriptor, data):
         nonlocal left
         left -= 1
         if left < 0:
-            path.write_bytes(data[: len(data) // 2])
+            os.write(descriptor, data[: len(data) // 2])
             raise OSError(errno.ENOSPC, "No space left on device")
-        write(path, data)
+        write(descriptor, data)
 
     monkeypatch.setattr(files, "_write_synced", full)
     _session(ResultsFolder(tmp_path / "whole"))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_results import KEY, make_episodes, make_info, make_params, make_tests
+from test_results import CONFIG, KEY, make_episodes, make_info, make_params, make_tests
 from test_saves import _run as make_saved
 
 from hitl_jax import differences
@@ -71,7 +71,7 @@ def test_runs_of_other_versions_are_told_before_they_are_played(name, tmp_path, 
         made["versions"][name] = "0.0.1"
         told = f"{name} 0.0.1, now {here['versions'][name]}"
     folder = ResultsFolder(tmp_path)
-    folder.create_or_resume({}, "command")
+    folder.create_or_resume(CONFIG, "command")
     keys = [KEY, RunKey("srl", 0)]
     for key in keys:
         folder.save_run(key, make_episodes(), make_tests(), make_params(), make_info(**made))

@@ -411,10 +411,10 @@ def test_without_matplotlib_there_is_one_line(plain, monkeypatch):
 
 
 def test_a_full_disk_is_the_folders_error(plain, monkeypatch):
-    def full(descriptor):
+    def full(descriptor, data):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(files.os, "fsync", full)
+    monkeypatch.setattr(files, "_write_synced", full)
     with pytest.raises(ResultsError, match=r"figure4_training\.png: No space left on device"):
         draw_all(plain, rng())
 

@@ -183,14 +183,15 @@ def test_a_session_from_before_a_choice_was_one_goes_on_with_its_default(tmp_pat
     ("changed", "message"),
     [
         ({"boundary": np.float32(0.0)}, "its boundary 0: must be at least 0.05 and at most 1.5"),
-        ({"boundary": np.zeros(3)}, "is no checkpoint that can be read"),
-        ({"actor/params/out/bias": np.full(4, np.nan)}, "not all its numbers are finite"),
+        ({"boundary": np.zeros(3)}, "its boundary has other layers than this team's"),
+        ({"actor/params/Dense_1/bias": np.full(4, np.nan, "f4")}, "not all its numbers are finite"),
         ({}, "its actor has other layers than this team's"),
     ],
 )
 def test_what_cannot_be_begun_with_is_refused(changed, message, tmp_path, capsys):
     """Such as a run whose boundary is no number that a rule moves."""
-    setup = live.setup_of(live.LiveOptions(agent=AgentConfig(hidden_sizes=(8,))))
+    sizes = (16,) if changed else (8,)
+    setup = live.setup_of(live.LiveOptions(agent=AgentConfig(learner="td3", hidden_sizes=sizes)))
     train = setup.first_train(jax.random.key(0))
     arrays = checkpoint.flatten(dataclasses.replace(train, key=None), np.float32(0.3))
     np.savez(tmp_path / "start.npz", **arrays | changed)

@@ -12,6 +12,7 @@ import threading
 
 import pytest
 import small
+from forged import rewrite
 
 from hitl_jax.commands import merge, seed_sweep
 from hitl_jax.commands.cli import run_main
@@ -78,9 +79,10 @@ def test_what_is_no_set_of_shards_is_named(shards, whole, tmp_path, capsys):
     foreign, lacking, other = (tmp_path / name for name in ("foreign", "lacking", "other"))
     for folder, source in ((foreign, four), (lacking, two), (other, four)):
         shutil.copytree(source, folder)
-    config = (four / "config.json").read_text()
-    (foreign / "config.json").write_text(config.replace('"warmup_steps": 64', '"warmup_steps": 5'))
-    (other / "config.json").write_text(config.replace('"of": 4', '"of": 5'))
+    rewrite(
+        foreign / "config.json", lambda made: made["config"]["hyper"].update({"warmup_steps": 5})
+    )
+    rewrite(other / "config.json", lambda made: made["shard"].update({"of": 5}))
     shutil.rmtree(lacking / "runs")
     out = tmp_path / "out"
     for folders, said in (

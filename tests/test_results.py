@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from forged import as_of_format_1
 
 from hitl_jax import files, provenance, results
 from hitl_jax.differences import ConfigMismatch
@@ -70,13 +71,6 @@ def save(folder: ResultsFolder, key: RunKey = KEY) -> None:
     folder.save_run(key, make_episodes(), make_tests(), make_params(), make_info())
 
 
-def as_of_format_1(folder: ResultsFolder, key: RunKey = KEY) -> None:
-    """Writes run.json as it was before it had digests."""
-    path = folder.path / "runs" / key.method / f"seed-{key.seed:04d}" / "run.json"
-    document = json.loads(path.read_text()) | {"format": 1}
-    path.write_text(json.dumps({k: v for k, v in document.items() if k not in ("digest", "files")}))
-
-
 def everything_below(path) -> set[str]:
     return {str(p.relative_to(path)) for p in path.rglob("*")}
 
@@ -131,7 +125,7 @@ def test_tests_during_training_are_kept_and_may_be_missing(folder):
     progress = {name: tests[name] for name in TEST_COLUMNS[1:]} | {"trained": [200, 400]}
     folder.save_run(KEY, make_episodes(), tests, make_params(), make_info(), progress)
     assert folder.load_run(KEY).progress["trained"].tolist() == [200, 400]
-    as_of_format_1(folder)
+    as_of_format_1(folder.path / "runs/hitl-ac/seed-0003")
     (folder.path / "runs/hitl-ac/seed-0003/progress.csv").unlink()  # as of an older program
     assert len(folder.load_run(KEY).progress["trained"]) == 0
 
@@ -154,11 +148,11 @@ def test_a_failure_while_saving_leaves_nothing(folder, monkeypatch, failing):
     before = everything_below(folder.path)
     real = files._write_synced
 
-    def write(path, data):
-        if path.name == failing:
-            path.write_bytes(data[:10])
+    def write(descriptor, data):
+        if failing in os.readlink(f"/proc/self/fd/{descriptor}"):
+            os.write(descriptor, data[:10])
             raise OSError(28, "No space left on device")
-        real(path, data)
+        real(descriptor, data)
 
     def rename(source, target):
         raise OSError(28, "No space left on device")
@@ -312,7 +306,7 @@ def test_a_damaged_run_names_the_file_in_one_line(folder, name, content, says):
     path = folder.path / "runs/hitl-ac/seed-0003" / name
     path.unlink()
     if name != "run.json":
-        as_of_format_1(folder)
+        as_of_format_1(folder.path / "runs/hitl-ac/seed-0003")
     if content is not None:
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(ResultsError, match=f"{name}: {says}") as caught:
@@ -322,12 +316,14 @@ def test_a_damaged_run_names_the_file_in_one_line(folder, name, content, says):
 
 def test_damaged_cells_are_named(folder):
     save(folder)
-    as_of_format_1(folder)
+    as_of_format_1(folder.path / "runs/hitl-ac/seed-0003")
     path = folder.path / "runs/hitl-ac/seed-0003/episodes.csv"
     text = path.read_text()
     for old, new, says in (
         ("goal", "gaol", "column 'end' holds 'gaol'"),
-        ("-0.1", "zero", "column 'shaped_return': could not convert"),
+        ("-0.1", "zero", "column 'shaped_return' holds 'zero': must be a number"),
+        ("-0.1", "1_0", "column 'shaped_return' holds '1_0': must be a number"),
+        ("-0.1", "1.2.3", "column 'shaped_return': could not convert"),
         ("-0.1", "", "column 'shaped_return' holds a value that is missing"),
         ("\n2,", "\n2.5,", "column 'episode' holds a value that is not a whole number"),
         ("\n2,", "\n-2,", "column 'episode' holds a value that is not from 0 to"),

@@ -16,6 +16,7 @@ import time
 import numpy as np
 import pytest
 import small
+from forged import as_of_format_1, rewrite
 from PIL import Image
 
 from hitl_jax import provenance
@@ -121,6 +122,7 @@ def test_every_episode_that_is_kept_can_be_had_again(swept, tmp_path, capsys):
     table = ResultsFolder(forged).load_run(RunKey("srl", 0)).tests
     table["return"][1] += 1e-9
     path.write_text(table_to_csv(table))
+    as_of_format_1(path.parent)
     assert _verify(forged, "--runs", "9") == 1
     said = capsys.readouterr().out
     assert "srl seed 0: training 1 of 1, autonomous 1 of 2" in said
@@ -130,9 +132,7 @@ def test_versions_that_differ_are_named_first_and_once(swept, tmp_path, capsys):
     other = tmp_path / "other"
     shutil.copytree(swept, other)
     for path in (other / "config.json", *other.glob("runs/*/*/run.json")):
-        made = json.loads(path.read_text())
-        made["versions"] |= {"jax": "0.4.1", "numpy": "1.0"}
-        path.write_text(json.dumps(made))
+        rewrite(path, lambda made: made["versions"].update({"jax": "0.4.1", "numpy": "1.0"}))
     now = provenance.versions()
     told = f"jax 0.4.1, now {now['jax']}; numpy 1.0, now {now['numpy']}"
     assert _verify(other, "--runs", "1") == 0
@@ -168,6 +168,7 @@ def test_a_film_shows_the_recorded_episode(swept, tmp_path, capsys):
     table = ResultsFolder(forged).load_run(RunKey("srl", 0)).episodes
     table["return"] += 1.0
     path.write_text(table_to_csv(table))
+    as_of_format_1(path.parent)
     assert _replay(forged, "--method", "srl") == 1
     assert "not the same episode" in capsys.readouterr().out
 

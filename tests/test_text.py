@@ -1,6 +1,7 @@
 """A user's own words: shown as they are, on any terminal, in figures and tables; files in UTF-8."""
 
 import ast
+import dataclasses
 import contextlib
 import io
 import json
@@ -168,12 +169,8 @@ def test_tables_keep_their_columns(name):
 def test_a_configuration_of_any_name_is_a_line_of_the_tuning(tmp_path):
     options = tuning.TuningOptions(seeds=1)
     stage = {"ticks": 2, "seconds": 1.0, "srl": [1.0], "hitl-fix": [1.0], "hitl-ac": [1.0]}
-    asked = {
-        "budget": tuning._budget(options),
-        "agent": {},
-        "loop": {},
-        "hyper": {"warmup_steps": 0},
-    }
+    asked = {"budget": tuning._budget(options), "agent": dataclasses.asdict(AgentConfig())}
+    asked |= {"loop": dataclasses.asdict(LoopConfig()), "hyper": dataclasses.asdict(Hyper())}
     done = {"asked": asked, "commit": None, "stages": [stage] * 3}
     done["tests"] = {method: [1.0] for method in METHODS}
     (tmp_path / "a|b – c.json").write_text(json.dumps(done), encoding="utf-8")

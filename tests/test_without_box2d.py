@@ -3,12 +3,14 @@
 import json
 import os
 import pathlib
+import shutil
 import subprocess
 import sys
 
 import official as theirs
 import pytest
 import small
+from forged import of_config
 
 from hitl_jax.commands import seed_sweep
 from hitl_jax.commands.cli import run_main
@@ -63,12 +65,9 @@ def swept(tmp_path_factory):
 
 def _as_if_on(backend, folder, tmp_path):
     """The runs of a folder, in one that says that it was made on another backend."""
-    document = json.loads((folder / "config.json").read_text())
-    document["config"]["backend"] = backend
     other = tmp_path / backend
-    other.mkdir()
-    (other / "config.json").write_text(json.dumps(document))
-    (other / "runs").symlink_to(folder / "runs")
+    shutil.copytree(folder, other)
+    of_config(other, lambda config: config.update({"backend": backend}))
     return other
 
 

@@ -1,6 +1,5 @@
 """Walkers of a results folder as they were when training ended."""
 
-import dataclasses
 from typing import TypeVar
 
 from hitl_jax import checkpoint
@@ -8,7 +7,7 @@ from hitl_jax.agent import Agent
 from hitl_jax.commands import judgements
 from hitl_jax.commands.training import make_team, policy_digest
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, validate_hyper
-from hitl_jax.documents import checked
+from hitl_jax.documents import options_of
 from hitl_jax.files import ResultsError, named_errors
 from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey, sort_keys
@@ -94,8 +93,4 @@ def _section(folder: ResultsFolder, name: str, kind: type[T]) -> T:
     if not isinstance(section, dict) or "episodes" not in config:
         raise ResultsError(f"{folder.path}: config.json has no {name!r}: not of a sweep")
     with named_errors(folder.path / "config.json"):
-        options = checked(section, kind)
-        known = dataclasses.asdict(options)
-        if unknown := [choice for choice in section if choice not in known]:
-            raise ValueError(f"{name}: {unknown[0]!r} is no option of this program")
-    return options
+        return options_of(section, kind)

@@ -29,7 +29,7 @@ from hitl_jax.config import (
     require_whole,
 )
 from hitl_jax.differences import completed
-from hitl_jax.documents import checked, plain_from_json
+from hitl_jax.documents import checked, options_of, plain_from_json
 from hitl_jax.envs import make_pool, require_backend
 from hitl_jax.episodes import FALL_REWARD
 from hitl_jax.evaluation import MOST_TEST_EPISODES, Evaluator, evaluate_runs
@@ -213,6 +213,8 @@ def _load(path: pathlib.Path) -> dict[str, Any] | None:
     try:
         data: dict[str, Any] = plain_from_json(files.read_bytes(path), dict[str, Any])
         checked(data, _Tuned)
+        for name, kind in (("agent", AgentConfig), ("loop", LoopConfig), ("hyper", Hyper)):
+            options_of(completed(data["asked"])[name], kind)
     except ValueError:
         return None
     return data
@@ -225,15 +227,11 @@ class _Budget(msgspec.Struct):
     test_episodes: Positive
 
 
-class _Hyper(msgspec.Struct):
-    warmup_steps: Count
-
-
 class _Asked(msgspec.Struct):
     budget: _Budget
     agent: Config
     loop: Config
-    hyper: _Hyper
+    hyper: Config
 
 
 class _Stage(msgspec.Struct, rename="kebab"):

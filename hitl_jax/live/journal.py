@@ -26,7 +26,7 @@ from hitl_jax.documents import checked, plain_from_json
 from hitl_jax.files import ResultsError, is_there, named_errors, one_line, open_plain, read_bytes
 from hitl_jax.live import commands
 from hitl_jax.live.session import Session
-from hitl_jax.schemas import Count, Positive, Text, Versions
+from hitl_jax.schemas import Count, Digest, Positive, Text, Versions
 
 VERSION = 3
 _WITHOUT_SUMS = 2
@@ -162,7 +162,19 @@ class _Head(Struct):
     """The first line; its options are checked where they are used."""
 
     journal: Literal[2, 3]
+    start: Digest | UnsetType | None = UNSET
+    human_policy: Digest | UnsetType | None = UNSET
     made: _Made | UnsetType = UNSET
+
+
+class _Label(Struct, forbid_unknown_fields=True):
+    """`labels.Label`, as it was taken back."""
+
+    number: int
+    kind: Text
+    first: int
+    last: int | None
+    cause: int | None
 
 
 class _Said(Struct, forbid_unknown_fields=True):
@@ -171,7 +183,7 @@ class _Said(Struct, forbid_unknown_fields=True):
     at: Count
     said: dict[Text, Any]
     time: float | UnsetType = UNSET
-    label: dict[Text, Any] | UnsetType | None = UNSET
+    label: _Label | UnsetType | None = UNSET
 
 
 class _Played(Struct, forbid_unknown_fields=True):

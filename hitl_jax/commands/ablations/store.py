@@ -16,7 +16,7 @@ from hitl_jax.differences import CAME_LATER
 from hitl_jax.files import named_errors, read_bytes, write_text_atomic
 from hitl_jax.run_key import RunKey
 from hitl_jax.summary import SUMMARY_COLUMNS
-from hitl_jax.tables import cells_from_csv
+from hitl_jax.tables import cells_from_csv, finite
 
 Row = dict[str, Any]
 """One run; measures are float, or None where there is no value."""
@@ -128,5 +128,7 @@ def _parse(line: dict[str, str]) -> tuple[RunId, Row]:
     _ = run.key  # Refuses what is no method or no digest.
     if not re.fullmatch(r"[0-9a-z+-]+", line["commit"]):
         raise ValueError(f"commit {line['commit'][:50]!r}: is none")
-    measures = {name: float(line[name]) if line[name] else None for name in _MEASURES}
+    measures = {
+        name: finite(name, [line[name]], True).item() if line[name] else None for name in _MEASURES
+    }
     return run, {"commit": line["commit"], **measures}
