@@ -20,6 +20,8 @@ _LONGEST_NAME = 500
 _SMALL = 2**20
 """That a file may always unpack to [bytes]."""
 _KINDS = "biuf"
+_BEGINS, _END, _END_SIZE = b"PK\x03\x04", b"PK\x05\x06", 22
+"""Of an archive without comment: what stands before its first array, and what ends it [bytes]."""
 _PIECE = 2**20
 """That is read at a time [bytes]."""
 
@@ -68,6 +70,9 @@ def from_npz(
     Raises:
         ValueError: one line saying what is wrong.
     """
+    end = len(data) - _END_SIZE
+    if not data.startswith(_BEGINS if end else _END) or not data.startswith(_END, max(end, 0)):
+        raise ValueError("is no archive of arrays, or more than one")
     limit = max(STORED * len(data), _SMALL) if at_most is None else at_most
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:

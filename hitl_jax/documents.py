@@ -54,7 +54,6 @@ def from_json(data: bytes, schema: Any) -> dict[str, Any]:
         given = document.pop("digest", None)
         if given != _digest(document):
             raise ValueError("its digest is not that of what it holds")
-    require_plain(document)
     checked(document, schema)
     return document
 
@@ -66,11 +65,13 @@ def plain_from_json(data: bytes, schema: Any) -> Any:
         ValueError: one line saying what is wrong, and where.
     """
     try:
-        return msgspec.json.decode(data, type=schema)
+        document = msgspec.json.decode(data, type=schema)
     except RecursionError:
         raise ValueError("is nested too deep") from None
     except msgspec.MsgspecError as error:  # No ValueError in releases before 0.20.
         raise ValueError(str(error)) from error
+    require_plain(document)
+    return document
 
 
 def checked(value: Any, schema: Any) -> Any:

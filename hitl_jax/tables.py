@@ -65,6 +65,8 @@ until then."""
 
 _TEXT = {"mode": MODES, "end": ENDS}
 _FLOATS = ("return", "shaped_return", "mean_boundary", "final_boundary", "lead_steps")
+_NUMBER = r"(?:-?[0-9]+(?:\.[0-9]+)?(?:e[-+]?[0-9]+)?|nan|)"
+"""As Python writes it; NaN is a cell without anything too."""
 _MOST_COUNT = 2**53
 _MAY_BE_NAN = ("mean_boundary", "final_boundary", "lead_steps")
 
@@ -167,8 +169,8 @@ def finite(name: str, cells: Sequence[str], or_nan: bool = False) -> np.ndarray:
 
 def _require_digits(name: str, cells: Sequence[str]) -> None:
     """Refuses what Python reads as a number and no program writes, such as `1_0` or ` 1`."""
-    if not re.fullmatch("(nan|[-+.0-9e\n])*", "\n".join(cells)):
-        wrong = next((cell for cell in cells if not re.fullmatch("nan|[-+.0-9e]*", cell)), "")
+    if not re.fullmatch(rf"({_NUMBER}\n)*", "".join(f"{cell}\n" for cell in cells)):
+        wrong = next((cell for cell in cells if not re.fullmatch(_NUMBER, cell)), "")
         raise ValueError(f"column {name!r} holds {wrong[:50]!r}: must be a number")
 
 

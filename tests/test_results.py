@@ -323,7 +323,7 @@ def test_damaged_cells_are_named(folder):
         ("goal", "gaol", "column 'end' holds 'gaol'"),
         ("-0.1", "zero", "column 'shaped_return' holds 'zero': must be a number"),
         ("-0.1", "1_0", "column 'shaped_return' holds '1_0': must be a number"),
-        ("-0.1", "1.2.3", "column 'shaped_return': could not convert"),
+        ("-0.1", "1.2.3", "column .shaped_return. holds .1.2.3.: must be"),
         ("-0.1", "", "column 'shaped_return' holds a value that is missing"),
         ("\n2,", "\n2.5,", "column 'episode' holds a value that is not a whole number"),
         ("\n2,", "\n-2,", "column 'episode' holds a value that is not from 0 to"),

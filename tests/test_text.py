@@ -1,8 +1,8 @@
 """A user's own words: shown as they are, on any terminal, in figures and tables; files in UTF-8."""
 
 import ast
-import dataclasses
 import contextlib
+import dataclasses
 import io
 import json
 import os
@@ -25,10 +25,12 @@ from hitl_jax.commands.cli import BadInput, parse
 from hitl_jax.commands.options import SweepOptions
 from hitl_jax.commands.output import replace_what_cannot_be_encoded
 from hitl_jax.commands.progress import Progress
+from hitl_jax.config import AgentConfig, Hyper
 from hitl_jax.figure_parts import literal, style
 from hitl_jax.files import write_text_atomic
 from hitl_jax.results import ResultsFolder
 from hitl_jax.run_key import RunKey
+from hitl_jax.runs import LoopConfig
 from hitl_jax.tables import METHODS
 
 _NAMES = (

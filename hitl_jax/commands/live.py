@@ -273,11 +273,13 @@ def _lines_of(path: pathlib.Path, header: dict[str, Any]) -> list[journal.Line]:
     before, lines = journal.read(path)
     before = completed(before)
     tell_differences(path, before)
-    for name, value in _flat(header).items():
-        has = _flat(before).get(name)
-        if has != value:
+    told = {name: value for name, value in before.items() if name not in ("journal", "made")}
+    asked, has, nothing = _flat(header), _flat(told), object()
+    for name in asked | has:
+        if asked.get(name, nothing) != has.get(name, nothing):
             raise ResultsError(
-                f"{path}: its session has {name} {has}, asked for {value}: name another journal"
+                f"{path}: its session has {name[:50]} {str(has.get(name))[:50]}, asked for "
+                f"{asked.get(name)}: name another journal"
             )
     return lines
 

@@ -20,6 +20,8 @@ from hitl_jax.commands.cli import checking_input
 from hitl_jax.commands.compile_cache import keep_programs
 from hitl_jax.commands.live import LiveOptions, setup_of, tell_differences
 from hitl_jax.config import AgentConfig, Hyper
+from hitl_jax.differences import completed
+from hitl_jax.documents import options_of
 from hitl_jax.files import ResultsError
 from hitl_jax.fit_human import FittedHuman, fit_human
 from hitl_jax.human import HumanParams
@@ -43,6 +45,21 @@ class RecordedOptions:
     journal: tyro.conf.Positional[str]
     start: str | None = None
     human_policy: str | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class _Begun:
+    """The first line of a journal; the files are told by their digests."""
+
+    journal: int
+    mode: str
+    method: str
+    seed: int
+    start: str | None
+    human_policy: str | None
+    agent: AgentConfig
+    loop: LoopConfig
+    hyper: Hyper
 
 
 class Steps(NamedTuple):
@@ -103,20 +120,20 @@ def main(options: RecordedOptions) -> int:
 def _options(header: journal.Line, options: RecordedOptions) -> LiveOptions:
     """The options of a session, from its journal."""
     try:
-        agent, hyper = dict(header["agent"]), dict(header["hyper"])
-        lists = {name: tuple(value) for name, value in agent.items() if isinstance(value, list)}
-        return LiveOptions(
-            mode=header["mode"],
-            start=options.start,
-            method=header["method"],
-            seed=header["seed"],
-            human_policy=options.human_policy,
-            agent=AgentConfig(**agent | lists),
-            loop=LoopConfig(**header["loop"]),
-            hyper=Hyper(**hyper | {"human": HumanParams(**hyper["human"])}),
-        ).checked()
-    except (KeyError, TypeError) as error:
-        raise ValueError(f"{options.journal}: is no journal of a live session") from error
+        told = {name: value for name, value in header.items() if name != "made"}
+        begun = options_of(completed(told), _Begun)
+    except ValueError as error:
+        raise ValueError(f"{options.journal}: is no journal of a live session: {error}") from error
+    return LiveOptions(
+        mode=begun.mode,
+        start=options.start,
+        method=begun.method,
+        seed=begun.seed,
+        human_policy=options.human_policy,
+        agent=begun.agent,
+        loop=begun.loop,
+        hyper=begun.hyper,
+    ).checked()
 
 
 def _steps(session: Session, lines: list[journal.Line], path: pathlib.Path) -> Steps:

@@ -36,7 +36,7 @@ from hitl_jax.evaluation import MOST_TEST_EPISODES, Evaluator, evaluate_runs
 from hitl_jax.provenance import git_commit, short_commit
 from hitl_jax.rollout import Rollout
 from hitl_jax.runs import FinishedRun, LoopConfig, Run, RunSpec, num_slots
-from hitl_jax.schemas import Config, Count, Positive, Seconds, Text
+from hitl_jax.schemas import Config, Count, Positive, Text
 
 _BASE: Changes = {
     "learner": "td3",
@@ -236,7 +236,7 @@ class _Asked(msgspec.Struct):
 
 class _Stage(msgspec.Struct, rename="kebab"):
     ticks: Positive
-    seconds: Seconds
+    seconds: Annotated[float, msgspec.Meta(gt=0.0)]
     srl: list[float]
     hitl_fix: list[float]
     hitl_ac: list[float]

@@ -77,8 +77,8 @@ class Journal:
             os.truncate(self._file, len(whole))
         self.is_new = not os.fstat(self._file).st_size
         # What an earlier version began goes on as it was begun.
-        last = whole.splitlines()[-1:]
-        self._sum = _sum_of(last[0]) if last else _FIRST_SUM
+        *_, last = whole[:-1].split(b"\n")
+        self._sum = _sum_of(last) if last else _FIRST_SUM
 
     def begin(self, header: Line) -> None:
         """Writes the first line: the setup.

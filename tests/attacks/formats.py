@@ -358,7 +358,7 @@ def like_lines(before: bytes, now: bytes) -> bool:
     kinds: dict[str, Any] = {}
     for line in before.splitlines():
         kinds.setdefault(_kind_of_line(json.loads(line)), line)
-    for line in now.splitlines()[:-1]:
+    for line in now.split(b"\n")[:-1]:
         kind = _kind_of_line(json.loads(line))
         if kind not in kinds or not like_json(kinds[kind], line):
             return False
