@@ -1,8 +1,9 @@
 """A sweep that is killed again and again: `hitl-jax faults`.
 
 Makes a small sweep in one go, then twice more: once the whole of it is killed (SIGKILL) at random
-moments and started again each time, once its walker processes are. Compares every table and every
-parameter with those of the first.
+moments and started again each time, once its walker processes are. A fourth one is disturbed as
+people do it: its folder is moved, linked, or used twice. Compares every table and every parameter
+with those of the first.
 """
 
 import contextlib
@@ -17,7 +18,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from hitl_jax.commands.cli import BadInput, checking_input
-from hitl_jax.config import require
+from hitl_jax.commands.disturbances import Site, disturb, make_another
+from hitl_jax.config import require, require_whole
 from hitl_jax.envs import require_backend
 from hitl_jax.interpreter import child_interpreter
 from hitl_jax.results import ResultsFolder
@@ -32,10 +34,11 @@ _TABLES = ("episodes.csv", "test.csv", "progress.csv", "params.npz", "episodes.n
 
 @dataclasses.dataclass(frozen=True)
 class FaultOptions:
-    """Kill small sweeps at random moments; they must end as if nothing had happened.
+    """Kill and disturb small sweeps at random moments; they must end as if nothing had happened.
 
     Attributes:
         kills: of the whole sweep, and again of single walker processes.
+        moves: of its folder, links put in its place, second starts, foreign runs.
         first: what the random moments start from.
         longest: longest time from a start, or from the first save after it, to a kill [s]; half of
             it for walker processes.
@@ -43,6 +46,7 @@ class FaultOptions:
     """
 
     kills: int = 20
+    moves: int = 20
     first: int = 0
     longest: float = 6.0
     out: str = "runs/faults"
@@ -61,7 +65,8 @@ def main(options: FaultOptions) -> int:
         BadInput: if the folder is there already.
     """
     with checking_input():
-        require("kills", options.kills, at_least=1)
+        for name in ("kills", "moves"):
+            require_whole(name, getattr(options, name))
         require("longest", options.longest, at_least=0.1)
         require_backend("lean")  # Its walkers have processes that can be killed.
     out = pathlib.Path(options.out)
@@ -72,17 +77,37 @@ def main(options: FaultOptions) -> int:
     with _sweep(out / "whole") as sweep:
         _wait(sweep)
     print("made in one go", flush=True)
-    _kill_sweeps(out / "killed", moments, options)
-    _kill_workers(out / "workers", moments, options)
+    if options.kills:
+        _kill_sweeps(out / "killed", moments, options)
+        _kill_workers(out / "workers", moments, options)
+    wrong = _disturb(out, moments, options) if options.moves else []
     differ = [
         path
-        for name in ("killed", "workers")
+        for name in ("killed", "workers", "disturbed")
+        if (out / name).exists()
         for path in _differences(ResultsFolder(out / "whole"), ResultsFolder(out / name))
     ]
     for path in differ:
         print(f"differs: {path}")
     print("differences were found" if differ else "all tables and parameters are equal")
-    return 1 if differ else 0
+    return 1 if differ or wrong else 0
+
+
+def _disturb(out: pathlib.Path, moments: random.Random, options: FaultOptions) -> list[str]:
+    """What was not as it should be."""
+    make_another(out / "whole", out / "another")
+    site = Site(
+        out / "disturbed",
+        out / "another",
+        out / "aside",
+        lambda *more: _sweep(out / "disturbed", *more),
+    )
+    wrong = []
+    for line in disturb(site, moments, options.longest, options.moves):
+        print(line, flush=True)
+        if not line.endswith("as it should be"):
+            wrong.append(line)
+    return wrong
 
 
 def _kill_sweeps(out: pathlib.Path, moments: random.Random, options: FaultOptions) -> None:
@@ -128,10 +153,10 @@ def _ends_before(
 
 
 @contextlib.contextmanager
-def _sweep(out: pathlib.Path) -> Iterator[subprocess.Popen[bytes]]:
+def _sweep(out: pathlib.Path, *options: str) -> Iterator[subprocess.Popen[bytes]]:
     """A sweep under way; its words go to a file."""
     python, environment = child_interpreter()
-    command = [*python, "-m", "hitl_jax", "sweep", *_SWEEP, "--out", str(out)]
+    command = [*python, "-m", "hitl_jax", "sweep", *_SWEEP, *options, "--out", str(out)]
     with open(out.with_suffix(".log"), "ab") as log:
         sweep = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
         try:

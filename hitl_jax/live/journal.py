@@ -213,8 +213,9 @@ def read(path: pathlib.Path) -> tuple[Line, list[Line]]:
     for number, text in enumerate([first, *others], start=1):
         try:
             line, before = _line(text, before)
-            checked(line, _Head if number == 1 else _Said if "said" in line else _Played)
-            if "said" in line:
+            said = number > 1 and "said" in line
+            checked(line, _Head if number == 1 else _Said if said else _Played)
+            if said:
                 commands.require_known(line["said"])
             if number > 2 and line["at"] < read[-1]["at"]:
                 raise ValueError("its frame is before that of the line above")
