@@ -96,7 +96,7 @@ def _members(archive: zipfile.ZipFile, limit: int) -> dict[str, Member]:
     for entry in entries:
         name = entry.filename.removesuffix(".npy")
         if name == entry.filename or name in members or len(name) > _LONGEST_NAME:
-            raise ValueError(f"entry {name[:50]!r}: must be an array, once")
+            raise ValueError(f"entry {entry.filename[:50]!r}: must be an array, once")
         members[name] = _member(archive, entry)
     return members
 

@@ -20,7 +20,7 @@ from hitl_jax.agent import Agent, make_agent
 from hitl_jax.archives import to_npz
 from hitl_jax.commands.cli import BadInput, checking_input
 from hitl_jax.commands.compile_cache import keep_programs
-from hitl_jax.commands.options import require_team
+from hitl_jax.commands.options import require_room, require_team
 from hitl_jax.commands.signals import Interrupted, deferred_interrupts
 from hitl_jax.commands.training import policy_digest
 from hitl_jax.config import (
@@ -100,6 +100,7 @@ class LiveOptions:
         require("port", self.port, at_least=0, at_most=65535)
         validate_hyper(self.hyper)
         require_team(self.agent, self.loop)
+        require_room(self.agent, self.loop, slots=1)
         if self.mode == "test" and self.start is None:
             raise ValueError("--start (none): --mode test needs a run's params.npz")
         # The others find a boundary as they act: there is none to show of the state that comes

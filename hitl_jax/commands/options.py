@@ -1,8 +1,10 @@
 """The options of a sweep, with units and defaults."""
 
 import dataclasses
+import os
 from typing import Annotated
 
+import numpy as np
 import tyro
 
 from hitl_jax.commands import judgements, shards
@@ -21,7 +23,8 @@ from hitl_jax.config import (
 )
 from hitl_jax.envs import BACKENDS
 from hitl_jax.evaluation import MOST_TEST_EPISODES, milestones
-from hitl_jax.runs import LoopConfig, RunSpec
+from hitl_jax.replay import Layout
+from hitl_jax.runs import LoopConfig, RunSpec, num_slots
 
 _MOST_WORKERS = 1024
 
@@ -149,7 +152,30 @@ class SweepOptions:
             raise ValueError(f"--shard {self.shard}: has none of the {runs} runs")
         validate_hyper(self.hyper)
         require_team(self.agent, self.loop)
+        if self.launch.launcher == "local":
+            require_room(self.agent, self.loop, num_slots(len(self.specs()), self.slots))
         return self
+
+
+def require_room(agent: AgentConfig, loop: LoopConfig, slots: int) -> None:
+    """Refuses replays that cannot be: the system would kill the process for them.
+
+    Args:
+        agent: the team.
+        loop: of its runs.
+        slots: runs at a time.
+
+    Raises:
+        ValueError: one line with the option, the value and what is allowed.
+    """
+    has = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    frame = Layout(agent.observation_size, agent.action_size).width * np.float32().nbytes
+    if slots * loop.frames * frame > has:
+        raise ValueError(
+            f"--capacity {loop.capacity}: must be at most {has // (slots * frame)}: the replays of "
+            f"{slots} runs at a time would take {slots * loop.frames * frame / 1e9:.0f} GB, and "
+            f"this machine has {has / 1e9:.0f}"
+        )
 
 
 def require_team(agent: AgentConfig, loop: LoopConfig) -> None:

@@ -34,6 +34,15 @@ class Places(NamedTuple):
     unused: int
 
 
+_FOR_THIS_MACHINE = {
+    # Who may speak to a cluster may run programs on it: with its token alone.
+    "RAY_AUTH_MODE": "token",
+    # Despite its name it holds on Linux too: Ray then listens on the loopback only.
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
+}
+"""Of a cluster of this machine alone; Ray reads them as it is imported."""
+
+
 @contextlib.contextmanager
 def connected(address: str | None) -> Iterator[None]:
     """Connects to a cluster, and leaves it at the end: what it does for us ends then.
@@ -47,6 +56,9 @@ def connected(address: str | None) -> Iterator[None]:
     """
     # Nobody has asked for it; it would tell Ray's makers of each start.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    if address is None:
+        for name, value in _FOR_THIS_MACHINE.items():
+            os.environ.setdefault(name, value)
     try:
         import ray
     except ImportError as error:

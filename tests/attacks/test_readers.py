@@ -1,0 +1,203 @@
+"""The readers by themselves: whatever they are given, an answer or ValueError in bounded memory."""
+
+import contextlib
+import csv
+import io
+import json
+import os
+import pathlib
+import socket
+import tracemalloc
+import zipfile
+
+import hypothesis
+import hypothesis.extra.numpy as arrays
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+
+from hitl_jax import archives, documents, recording, tables
+from hitl_jax.documents import from_json, to_json
+from hitl_jax.files import ResultsError, read_bytes
+from hitl_jax.live import commands
+from hitl_jax.schemas import FolderDocument, RunDocument, SaveHead
+
+many = hypothesis.settings(max_examples=300, deadline=None, derandomize=True)
+
+
+def _refusal(read, *given):
+    """What a reader says of what it refuses; None if it does not."""
+    try:
+        read(*given)
+    except (ValueError, csv.Error) as error:
+        return str(error)
+    return None
+
+
+@contextlib.contextmanager
+def _at_most(size):
+    """Within, no more memory than that is ever taken [bytes]."""
+    tracemalloc.start()
+    try:
+        yield
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < size
+
+
+_JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda one: st.lists(one, max_size=4) | st.dictionaries(st.text(max_size=10), one, max_size=4),
+    max_leaves=30,
+)
+
+
+@many
+@hypothesis.given(st.binary(max_size=300) | _JSON.map(lambda value: json.dumps(value).encode()))
+def test_json_of_any_kind(data):
+    for schema in (FolderDocument, RunDocument, SaveHead):
+        with pytest.raises(ValueError, match=r"\A[ -~]+\Z"):
+            from_json(data, schema)
+    said = _refusal(commands.parse, data)
+    assert said is None or "\n" not in said
+
+
+@many
+@hypothesis.given(st.dictionaries(st.text(max_size=10), _JSON, max_size=5))
+def test_a_document_comes_back_or_is_refused(document):
+    try:
+        text = to_json(document)
+    except ValueError:  # NaN is no JSON.
+        return
+    expected = json.loads(text)
+    expected.pop("digest")
+    said = _refusal(from_json, text.encode(), dict)
+    assert from_json(text.encode(), dict) == expected if said is None else said.isprintable()
+
+
+@pytest.mark.parametrize("depth", [13, 500, 100_000])
+@pytest.mark.parametrize("opening", ["[", '{"a":'])
+def test_deep_json_is_refused(depth, opening):
+    text = opening * depth + "1" + ("]" if opening == "[" else "}") * depth
+    with pytest.raises(ValueError, match=r"nested too deep|Expected `object`"):
+        from_json(f'{{"format":1,"a":{text}}}'.encode(), dict)
+
+
+def test_what_a_terminal_would_obey_is_refused():
+    for text in ("\x1b[2J", "a\rb", "\x9b1m", "a\nb"):
+        for document in ({"versions": {"jax": text}}, {"versions": {text: "1"}}):
+            with pytest.raises(ValueError, match="control characters"):
+                from_json(to_json(document).encode(), dict)
+
+
+@many
+@hypothesis.given(
+    st.dictionaries(
+        st.text(st.characters(codec="ascii", exclude_characters="/\0"), min_size=1, max_size=9),
+        arrays.arrays(
+            st.sampled_from([np.float32, np.float64, np.int64, np.uint8, np.bool_]),
+            arrays.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4),
+            elements={"allow_nan": False},
+        ),
+        max_size=4,
+    )
+)
+def test_arrays_come_back_as_they_were(told):
+    hypothesis.assume(not {"file", "allow_pickle"} & told.keys())
+    hypothesis.assume(not any(name.endswith(".npy") for name in told))
+    found = archives.from_npz(archives.to_npz(told))
+    assert found.keys() == told.keys()
+    for name, array in told.items():
+        np.testing.assert_array_equal(found[name], array)
+        assert found[name].dtype == array.dtype
+        assert found[name].flags.writeable
+
+
+@many
+@hypothesis.given(st.binary(max_size=400))
+def test_bytes_of_any_kind_are_no_arrays(data):
+    with pytest.raises(ValueError, match=r"(?s)."):
+        archives.from_npz(data)
+
+
+def _bomb(size: int) -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(file, w=np.zeros(size, np.uint8))
+    return file.getvalue()
+
+
+def _many_entries() -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for number in range(2000):
+            archive.writestr(f"{number}.npy", b"\0" * 100_000)
+    return file.getvalue()
+
+
+def _twice() -> bytes:
+    file = io.BytesIO()
+    np.savez(file, v=np.zeros(3), w=np.ones(3))
+    return file.getvalue().replace(b"v.npy", b"w.npy")
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (_bomb(200_000_000), "unpacks to 200,000,128 bytes"),
+        (_many_entries(), "unpacks to 200,000,000 bytes"),
+        (_twice(), "entry 'w.npy': must be an array, once"),
+    ],
+)
+def test_what_unpacks_to_more_than_it_should_costs_nothing(data, said):
+    assert len(data) < 2**21
+    with _at_most(4 * 2**20), pytest.raises(ValueError, match=said):
+        archives.from_npz(data)
+    with _at_most(4 * 2**20), pytest.raises(ValueError, match=r"no recorded episode|once|magic"):
+        recording.from_npz(data, np.array([5]))
+
+
+def test_recordings_are_looked_at_before_they_are_unpacked():
+    """One whose size is allowed, but longer than any episode."""
+    file = io.BytesIO()
+    steps = np.zeros((10**6, 9), np.float32)
+    np.savez_compressed(file, **{"best/episode": np.array(1), "best/steps": steps})
+    refused = pytest.raises(ValueError, match="are more than of any episode")
+    with _at_most(2**20), refused:
+        recording.from_npz(file.getvalue(), np.array([1600]))
+
+
+@many
+@hypothesis.given(st.text(max_size=200))
+def test_text_of_any_kind_is_no_table(text):
+    for rest in ("", ",".join(tables.EPISODE_COLUMNS) + "\n"):
+        said = _refusal(tables.table_from_csv, rest + text, tables.EPISODE_COLUMNS)
+        assert said is None or "\n" not in said
+
+
+@pytest.mark.parametrize("kind", ["fifo", "folder", "device", "socket", "dangling", "loop"])
+def test_what_is_no_file_is_not_waited_for(tmp_path, kind):
+    path = tmp_path / "episodes.csv"
+    if kind == "fifo":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "device":
+        path = pathlib.Path("/dev/zero")
+    elif kind == "socket":
+        with socket.socket(socket.AF_UNIX) as server:
+            server.bind(str(path))
+    elif kind == "dangling":
+        path.symlink_to(tmp_path / "none")
+    else:
+        path.symlink_to(path)
+    with pytest.raises(ResultsError, match=r"must be a plain file|No such file|Is a directory"):
+        read_bytes(path)
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path):
+    path = tmp_path / "config.json"
+    with open(path, "wb") as file:
+        file.truncate(documents.LARGEST + 1)
+    with pytest.raises(ResultsError, match="must be at most"):
+        read_bytes(path, documents.LARGEST)
