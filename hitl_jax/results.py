@@ -138,6 +138,7 @@ class ResultsFolder:
         provenance = {"versions": versions(), "commit": git_commit()}
         if self.path.exists() and not self.path.is_dir():
             raise ResultsError(f"{self.path}: is a file, not a folder")
+        require_held(self.path)
         with named_errors(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=self.path, prefix=TEMPORARY):

@@ -79,7 +79,11 @@ def disturb(site: Site, moments: random.Random, longest: float, times: int) -> I
     done = 0
     while done < times:
         with site.start() as sweep:
-            while done < times and not _ended(sweep, moments.uniform(0.0, longest)):
+            while (
+                done < times
+                and _works(site, sweep)
+                and not _ended(sweep, moments.uniform(0.0, longest))
+            ):
                 name, disturbance = moments.choice(list(_DISTURBANCES.items()))
                 done += 1
                 wrong = disturbance(site, sweep)
@@ -211,6 +215,15 @@ def _foreign_runs(out: pathlib.Path) -> list[str]:
     except ResultsError as error:
         return ["runs are refused"] if "another config" in str(error) else [str(error)]
     return []
+
+
+def _works(site: Site, sweep: subprocess.Popen[bytes]) -> bool:
+    """Waits until a sweep has its folder; False if it ends before."""
+    while not _ended(sweep, 0.02):
+        with contextlib.suppress(OSError):
+            if f"process {sweep.pid} " in (site.out / LOCK).read_text(encoding="utf-8"):
+                return True
+    return False
 
 
 def _ended(sweep: subprocess.Popen[bytes], seconds: float) -> bool:

@@ -206,3 +206,12 @@ def test_a_run_of_another_config_is_refused(tmp_path):
     (other.path / "runs").rename(folder.path / "runs")
     with pytest.raises(ConfigMismatch, match=r"run\.json: made with another config: hyper\.gamma"):
         folder.load_all()
+
+
+def test_a_folder_that_is_moved_before_it_is_begun_is_not_made_anew(tmp_path):
+    path = tmp_path / "out"
+    with locked(path):
+        path.rename(tmp_path / "moved")
+        with pytest.raises(ResultsError, match="is not the folder that this process has locked"):
+            _begun(path, _CONFIG)
+    assert not path.exists()
