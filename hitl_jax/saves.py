@@ -109,6 +109,7 @@ class Saves:
         Raises:
             ResultsError: if the disk refuses; the save before still counts.
         """
+        require_held(self._path)
         with named_errors(self._path):
             self._path.mkdir(exist_ok=True)  # Not its parents: results that vanished stay away.
         number = self._number + 1

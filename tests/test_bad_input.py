@@ -1,7 +1,6 @@
 """A thousand generated bad inputs: a clear line each, never a traceback, never a wrong resume."""
 
 import errno
-import json
 import os
 import shutil
 
@@ -74,26 +73,7 @@ def test_any_command_line_is_right_or_explained_in_one_line(options):
 
 
 # -------------------------------------------------------------------------------------- files
-
-_DAMAGE = st.one_of(
-    st.tuples(st.just("cut"), st.floats(0, 1, exclude_max=True), st.just(0)),
-    st.tuples(st.just("flip"), st.floats(0, 1, exclude_max=True), st.integers(0, 7)),
-    st.tuples(st.just("insert"), st.floats(0, 1), st.integers(0, 255)),
-    st.tuples(st.just("replace"), st.just(0.0), st.integers(0, 5)),
-)
-_FOREIGN = (b"", b"{}", b'{"format": 99}', b"[1, 2]", b"PK\x03\x04", b"\x80\x04\x95pickle.")
-
-
-def _damaged(data, damage):
-    kind, where, what = damage
-    place = int(where * len(data))
-    if kind == "cut":
-        return data[:place]
-    if kind == "flip":
-        return data[:place] + bytes([data[place] ^ (1 << what)]) + data[place + 1 :]
-    if kind == "insert":
-        return data[:place] + bytes([what]) + data[place:]
-    return _FOREIGN[what]
+# What is damaged: tests/attacks.
 
 
 def _save(folder, key):
@@ -103,80 +83,6 @@ def _save(folder, key):
     episodes = make_episodes() | {"length": np.full(4, len(steps))}
     files = episodes, make_tests(), make_params(), make_info()
     folder.save_run(key, *files, recordings=recorded)
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """A folder with a finished run and two saves of another."""
-    folder = ResultsFolder(tmp_path_factory.mktemp("whole") / "out")
-    folder.create_or_resume(CONFIG, "command")
-    _save(folder, KEY)
-    saves = Saves(folder.path / "under_way", _CAPACITY)
-    for ticks in (4, 8):
-        saves.write([make_saved(ticks, 4, _OTHER)])
-    return folder
-
-
-_STATES = {4: repr(make_saved(4, 4, _OTHER)), 8: repr(make_saved(8, 8, _OTHER))}
-
-
-@many(300)
-@hypothesis.given(st.integers(0, 3), _DAMAGE)
-def test_damaged_saves_are_noticed_and_never_taken_up(whole, number, damage):
-    folder = whole.path / "under_way"
-    path = sorted(folder.iterdir())[number]
-    data = path.read_bytes()
-    hypothesis.assume(_damaged(data, damage) != data)
-    path.write_bytes(_damaged(data, damage))
-    runs, notes = {}, []
-    try:
-        runs, notes = Saves(folder, _CAPACITY).load()
-    except ResultsError as error:
-        notes = [str(error)]
-    finally:
-        path.write_bytes(data)
-    for run in runs.values():
-        assert repr(run) == _STATES[run.facts["ticks"]]
-    for note in notes:
-        _assert_one_line(note, "damaged")
-
-
-@many(300)
-@hypothesis.given(
-    st.sampled_from(
-        ("run.json", "episodes.csv", "test.csv", "progress.csv", "params.npz", "episodes.npz")
-    ),
-    _DAMAGE,
-)
-def test_a_damaged_run_is_read_or_explained_in_one_line(whole, name, damage):
-    path = whole.path / f"runs/{KEY.method}/seed-{KEY.seed:04d}" / name
-    data = path.read_bytes()
-    path.write_bytes(_damaged(data, damage))
-    try:
-        whole.load_run(KEY)
-        whole.load_params(KEY)
-        whole.load_recordings(KEY)
-    except ResultsError as error:
-        _assert_one_line(str(error), str(path))
-    finally:
-        path.write_bytes(data)
-
-
-@many(150)
-@hypothesis.given(_DAMAGE)
-def test_a_damaged_configuration_is_never_resumed_as_another(whole, damage):
-    path = whole.path / "config.json"
-    data = path.read_bytes()
-    path.write_bytes(_damaged(data, damage))
-    try:
-        whole.create_or_resume(CONFIG, "command")
-    except ResultsError as error:
-        _assert_one_line(str(error), str(whole.path))
-    else:
-        # Whitespace, or a word of the record that defines no number.
-        assert json.loads(path.read_text())["config"] == json.loads(data)["config"]
-    finally:
-        path.write_bytes(data)
 
 
 # ---------------------------------------------------------------------------------- a full disk

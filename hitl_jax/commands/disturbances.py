@@ -99,8 +99,9 @@ def disturb(site: Site, moments: random.Random, longest: float, times: int) -> I
 
 
 def contents(folder: pathlib.Path) -> dict[str, bytes]:
-    """Every file below a folder, by name."""
-    return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    """Every file below a folder, by name; folders are there, too."""
+    every = list(folder.rglob("*"))
+    return {str(path): path.read_bytes() if path.is_file() else b"" for path in every}
 
 
 def _moved(site: Site, sweep: subprocess.Popen[bytes]) -> list[str]:

@@ -72,6 +72,11 @@ def leave_a_piece_out(data: bytes, chance: random.Random) -> bytes:
     return data[:first] + data[last:]
 
 
+def insert(data: bytes, chance: random.Random) -> bytes:
+    place = chance.randrange(len(data) + 1)
+    return data[:place] + chance.choice((b"\0", b",", b"0", b'"', b"\n", b"\xc3")) + data[place:]
+
+
 def put_in_front(data: bytes, chance: random.Random) -> bytes:
     return chance.choice((b"\xef\xbb\xbf", b"\0", b"\n", b"PK\x03\x04", b"#")) + data
 
@@ -83,7 +88,16 @@ def put_behind(data: bytes, chance: random.Random) -> bytes:
 def replace_all(data: bytes, chance: random.Random) -> bytes:
     others = (b"", b"\n", b"{}", b"[]", b"null", b"0", b'"', b"{" * 100_000, b"[" * 100_000)
     deep = b'{"a":' * 100_000 + b"1" + b"}" * 100_000
-    return chance.choice((*others, deep, b"9" * 10_000, b"\x93NUMPY", b"PK\x05\x06" + b"\0" * 18))
+    return chance.choice(
+        (
+            *others,
+            deep,
+            b"9" * 10_000,
+            b"\x93NUMPY",
+            b"\x80\x04\x95pickle.",
+            b"PK\x05\x06" + b"\0" * 18,
+        )
+    )
 
 
 OF_BYTES: tuple[Damage, ...] = (
@@ -93,6 +107,7 @@ OF_BYTES: tuple[Damage, ...] = (
     overwrite,
     repeat_a_piece,
     leave_a_piece_out,
+    insert,
     put_in_front,
     put_behind,
     replace_all,

@@ -51,6 +51,8 @@ RUN = f"runs/{KEY.method}/seed-0000"
 _AGENT = AgentConfig(learner="td3", hidden_sizes=(8,), batch_size=8, boundary_hidden_sizes=(4,))
 _EPISODES, _TESTS, _LENGTH = 3, 2, 5
 _CAPACITY = 8
+_SHARD = {"number": 1, "of": 2, "methods": ["srl"], "first_seed": 0, "seeds": 3}
+_DANGEROUS = np.arange(300) % 11 == 0
 
 
 class Format(NamedTuple):
@@ -79,17 +81,13 @@ class Format(NamedTuple):
 def make(root: pathlib.Path) -> None:
     """Makes a folder in which every format occurs."""
     rng = np.random.default_rng(0)
-    dangerous = rng.random(300) < 0.1
-    judgements.write(root / "judged.npz", dangerous)
-    options = SweepOptions(
-        agent=_AGENT, episodes=_EPISODES, test_episodes=_TESTS, backend="lean", preset="quick"
-    )
-    config = seed_sweep._config(options)
-    for name, human in (("sweep", {}), ("old", {}), ("recorded", judgements.digest(dangerous))):
+    judgements.write(root / "judged.npz", _DANGEROUS)
+    config = _config()
+    for name in ("sweep", "old", "recorded"):
+        human = _human_of(name)
         folder = ResultsFolder(root / name)
-        shard = {"number": 1, "of": 2, "methods": ["srl"], "first_seed": 0, "seeds": 3}
-        folder.create_or_resume(config | human, "hitl-jax sweep", shard)
-        judgements.keep(folder.path, dangerous if human else None)
+        folder.create_or_resume(config | human, "hitl-jax sweep", _SHARD)
+        judgements.keep(folder.path, _DANGEROUS if human else None)
         _save_run(folder, config | human, rng)
         folder.write_partial(RunKey("srl", 1), _columns(EPISODE_COLUMNS, _EPISODES, rng))
     _as_of_format_1(root / "old")
@@ -121,6 +119,17 @@ def make(root: pathlib.Path) -> None:
     tests = {method: [1.0, 2.0] for method in ("srl", "hitl-fix", "hitl-ac")}
     done = {"asked": asked, "commit": "abc", "stages": [stage], "tests": tests}
     (root / "tuning" / "mine.json").write_text(json.dumps(done))
+
+
+def _config() -> dict[str, Any]:
+    options = SweepOptions(
+        agent=_AGENT, episodes=_EPISODES, test_episodes=_TESTS, backend="lean", preset="quick"
+    )
+    return seed_sweep._config(options)
+
+
+def _human_of(name: str) -> dict[str, str]:
+    return judgements.digest(_DANGEROUS) if name == "recorded" else {}
 
 
 def _columns(names: tuple[str, ...], count: int, rng: np.random.Generator) -> dict[str, Any]:
@@ -231,6 +240,7 @@ def _make_journal(path: pathlib.Path) -> None:
 def _read_sweep(root: pathlib.Path, name: str = "sweep") -> Any:
     folder = ResultsFolder(root / name)
     document = folder._document()
+    folder.create_or_resume(_config() | _human_of(name), "again", _SHARD)
     run = folder.load_run(KEY)
     agent = trained.agent_of(folder)
     spec, end = trained.load_trained(agent, folder, KEY)
@@ -312,6 +322,7 @@ def _read_tuning(root: pathlib.Path) -> Any:
 # --------------------------------------------------------------- what we might have written as well
 
 _OPTIONAL = {"shard", "machine", "diverged", "lost_tests", "status", "command", "made", "time"}
+_OPTIONAL |= {"matmul_precision"}  # A choice that came later.
 _OPTIONAL |= {"label", "versions", "commit", "processor"}
 _NUMBER = re.compile(r"(-?\d+(\.\d+)?(e[+-]?\d+)?|nan)?", re.ASCII)
 

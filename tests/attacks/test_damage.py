@@ -4,7 +4,7 @@ import pytest
 from damage import attack, read_all
 from formats import FORMATS, make
 
-_EACH = 20
+_EACH = 12
 """Damages of each format here; the command has as many as asked for."""
 
 

@@ -27,7 +27,8 @@ _OTHER = {"hyper": {"gamma": 0.5}}
 
 
 def _everything(folder: pathlib.Path) -> dict[str, bytes]:
-    return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    every = list(folder.rglob("*"))
+    return {str(path): path.read_bytes() if path.is_file() else b"" for path in every}
 
 
 def _begun(path: pathlib.Path, config: dict) -> ResultsFolder:
@@ -62,6 +63,7 @@ def test_a_sweep_whose_folder_was_moved_writes_nothing_in_another(tmp_path, made
             lambda: _save(mine, key),
             lambda: write_text_atomic(path / "summary.md", "mine"),
             lambda: write_bytes_atomic(path / "under_way" / "state-000001.npz", b"mine"),
+            lambda: Saves(path / "under_way", 8).write([]),
             lambda: write_folder_atomic(path / "runs" / "srl" / "seed-0000", {"run.json": b"{}"}),
         ):
             with pytest.raises(ResultsError, match=r"out: (is not the folder that|has vanished)"):
