@@ -42,9 +42,13 @@ def main(words: Sequence[str] | None = None) -> int:
     go_on_without_readers()
     name, *options = (sys.argv[1:] if words is None else words) or ["--help"]
     if name in ("-h", "--help"):
-        print("usage: hitl-jax COMMAND [OPTIONS]    (--help after a command lists its options)\n")
-        for command, (_, purpose) in _COMMANDS.items():
-            print(f"  {command:14}{purpose}")
+        lines = [f"  {command:14}{purpose}" for command, (_, purpose) in _COMMANDS.items()]
+        usage = "usage: hitl-jax COMMAND [OPTIONS]    (--help after a command lists its options)\n"
+        try:
+            print("\n".join([usage, *lines]), flush=True)
+        except OSError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 1
         return 0
     if name not in _COMMANDS:
         print(f"error: {name}: must be one of {', '.join(_COMMANDS)}", file=sys.stderr)

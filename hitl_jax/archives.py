@@ -5,6 +5,7 @@ Nothing is executed (no pickle), and no more memory is taken than the caller all
 
 import io
 import math
+import warnings
 import zipfile
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -20,6 +21,8 @@ _LONGEST_NAME = 500
 _SMALL = 2**20
 """That a file may always unpack to [bytes]."""
 _KINDS = "biuf"
+_WIDEST = 8
+"""Of a number [bytes]."""
 _BEGINS, _END, _END_SIZE = b"PK\x03\x04", b"PK\x05\x06", 22
 """Of an archive without comment: what stands before its first array, and what ends it [bytes]."""
 _PIECE = 2**20
@@ -107,9 +110,11 @@ def _member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Member:
         version = np.lib.format.read_magic(file)
         if version != (1, 0):
             raise ValueError(f"array {entry.filename!r}: is of npy's version {version}")
-        shape, columns_first, dtype = np.lib.format.read_array_header_1_0(file)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # Of headers that Python 2 wrote, or nobody.
+            shape, columns_first, dtype = np.lib.format.read_array_header_1_0(file)
         start = file.tell()
-    if dtype.kind not in _KINDS or dtype.names or dtype.subdtype:
+    if dtype.kind not in _KINDS or not dtype.isnative or dtype.itemsize > _WIDEST:
         raise ValueError(f"array {entry.filename!r}: is of {dtype}, no numbers")
     if len(shape) > _MOST_DIMENSIONS or any(side < 0 for side in shape):
         raise ValueError(f"array {entry.filename!r}: has shape {shape}"[:200])
@@ -128,4 +133,6 @@ def _read(archive: zipfile.ZipFile, member: Member) -> np.ndarray:
             buffer = buffer[len(piece) :]
         if len(buffer):
             raise ValueError(f"array {member.entry.filename!r}: is cut short")
+    if numbers.dtype == bool and (numbers.view(np.uint8) > 1).any():
+        raise ValueError(f"array {member.entry.filename!r}: holds truth values that are none")
     return numbers.reshape(member.form.shape, order="F" if member.columns_first else "C")

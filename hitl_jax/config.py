@@ -6,6 +6,7 @@ number that the program takes as an argument, so that one program can sweep it a
 
 import dataclasses
 import enum
+import itertools
 import numbers
 from typing import Any
 
@@ -32,6 +33,8 @@ MOST_SEED = 2**32 - 1
 _MOST_SEEDS = 100_000
 """Of one command, which holds a list of its runs."""
 _MOST_UNITS = 2**20
+_MOST_LAYERS = 16
+_MOST_WEIGHTS = 2**26
 _GREATEST = float(np.finfo(np.float32).max)
 
 
@@ -117,6 +120,10 @@ class AgentConfig:
                 raise ValueError(f"{_option(name)} {sizes}: at least one layer, each of 1 or more")
             for size in sizes:
                 require_whole(name, size, at_most=_MOST_UNITS)
+            if len(sizes) > _MOST_LAYERS:
+                raise ValueError(f"{_option(name)} {len(sizes)} layers: at most {_MOST_LAYERS}")
+            if any(a * b > _MOST_WEIGHTS for a, b in itertools.pairwise(sizes)):
+                raise ValueError(f"{_option(name)} {sizes}: at most {_MOST_WEIGHTS} weights each")
         if self.matmul_precision != "float32" and len(self.hidden_sizes) < 2:
             raise ValueError(
                 f"--matmul-precision {self.matmul_precision}: is for products between hidden "

@@ -181,7 +181,7 @@ def is_there(path: pathlib.Path, descriptor: int) -> bool:
 def _open_lock(path: pathlib.Path) -> int:
     """A descriptor of the lock, which this process alone holds."""
     while True:
-        descriptor = open_plain(path, os.O_RDWR | os.O_CREAT)
+        descriptor = open_plain(path, os.O_RDWR | os.O_CREAT, "remove it")
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -199,8 +199,13 @@ def _open_lock(path: pathlib.Path) -> int:
         os.close(descriptor)
 
 
-def open_plain(path: pathlib.Path, flags: int) -> int:
+def open_plain(path: pathlib.Path, flags: int, advice: str) -> int:
     """A descriptor to write with, of a file that nobody has by another name or by a link.
+
+    Args:
+        path: the file.
+        flags: of `os.open`.
+        advice: what to do with another kind of file.
 
     Raises:
         ResultsError: if it is something else.
@@ -211,17 +216,17 @@ def open_plain(path: pathlib.Path, flags: int) -> int:
         descriptor = os.open(path, flags, 0o666)
     except OSError as error:
         if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO):
-            raise _not_plain(path) from None
+            raise _not_plain(path, advice) from None
         raise
     found = os.fstat(descriptor)
     if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
         os.close(descriptor)
-        raise _not_plain(path)
+        raise _not_plain(path, advice)
     return descriptor
 
 
-def _not_plain(path: pathlib.Path) -> ResultsError:
-    return ResultsError(f"{path}: must be a plain file of one name, or not there: remove it")
+def _not_plain(path: pathlib.Path, advice: str) -> ResultsError:
+    return ResultsError(f"{path}: must be a plain file of one name, or not there: {advice}")
 
 
 def remove_leftovers(folder: pathlib.Path) -> None:
@@ -250,6 +255,8 @@ def named_errors(path: pathlib.Path) -> Iterator[None]:
         raise
     except OSError as error:
         raise ResultsError(f"{path}: {error.strerror or error}") from error
+    except MemoryError as error:
+        raise ResultsError(f"{path}: does not fit into memory") from error
     except (ValueError, EOFError, OverflowError, csv.Error) as error:
         raise ResultsError(f"{path}: damaged: {one_line(error)}") from error
 
@@ -269,19 +276,29 @@ def _temporary(path: pathlib.Path) -> pathlib.Path:
 def _temporary_file(path: pathlib.Path, mode: int) -> Iterator[tuple[pathlib.Path, int]]:
     """A new, locked file beside a name, and its descriptor; removed if it is not renamed."""
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-    with _removed_on_errors(_temporary(path)) as temporary:
-        descriptor = os.open(temporary, flags, mode)
-        with _locked_as_ours(descriptor):
-            yield temporary, descriptor
+    while True:
+        with _removed_on_errors(_temporary(path)) as temporary:
+            descriptor = os.open(temporary, flags, mode)
+            with _locked_as_ours(descriptor):
+                if is_there(temporary, descriptor):  # Not removed before it was locked.
+                    yield temporary, descriptor
+                    return
 
 
 @contextlib.contextmanager
 def _temporary_folder(path: pathlib.Path) -> Iterator[pathlib.Path]:
     """A new, locked folder beside a name; removed if it is not renamed."""
-    with _removed_on_errors(_temporary(path)) as temporary:
-        temporary.mkdir()
-        with _locked_as_ours(os.open(temporary, os.O_RDONLY | os.O_CLOEXEC)):
-            yield temporary
+    while True:
+        with _removed_on_errors(_temporary(path)) as temporary:
+            temporary.mkdir()
+            try:
+                descriptor = os.open(temporary, os.O_RDONLY | os.O_CLOEXEC)
+            except FileNotFoundError:  # Removed before it was locked.
+                continue
+            with _locked_as_ours(descriptor):
+                if is_there(temporary, descriptor):
+                    yield temporary
+                    return
 
 
 @contextlib.contextmanager

@@ -23,7 +23,7 @@ import json
 import os
 import pathlib
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -63,7 +63,7 @@ RUN_INFO = ("config", "versions", "commit", "wall_seconds", "env_steps", "update
 
 RUN_FILES = ("episodes.csv", "test.csv", "progress.csv", "params.npz", "episodes.npz")
 """Of a run's folder beside run.json, which has the digest of each."""
-_CAME_LATER = ("progress.csv", "episodes.npz")
+_MAY_LACK = ("progress.csv", "episodes.npz")
 
 _NONE: dict[str, Any] = {name: [] for name in PROGRESS_COLUMNS}
 
@@ -215,7 +215,7 @@ class ResultsFolder:
             ResultsError: if the run is there already, or the disk refuses.
             ValueError: if a column, an array or an entry of `info` is not what it must be.
         """
-        final = self._run_path(key)
+        final = self.run_path(key)
         self._require_there()
         if final.exists():
             raise ResultsError(f"{final}: this run is finished already")
@@ -250,7 +250,7 @@ class ResultsFolder:
             ResultsError: if it is damaged there, is here already, or the disk refuses.
         """
         self._require_there()
-        final, origin = self._run_path(key), source._run_path(key)
+        final, origin = self.run_path(key), source.run_path(key)
         if final.exists():
             raise ResultsError(f"{final}: this run is finished already")
         source.check_run(key)
@@ -264,7 +264,7 @@ class ResultsFolder:
         Raises:
             ResultsError: if a file is missing, damaged or a link, or the run is of another config.
         """
-        for path in sorted(self._run_path(key).glob("*")):
+        for path in sorted(self.run_path(key).glob("*")):
             if path.is_symlink():
                 raise ResultsError(f"{path}: is a link, no file of this run")
         self.load_params(key)
@@ -272,8 +272,23 @@ class ResultsFolder:
 
     def finished(self) -> set[RunKey]:
         """The runs that are on the disk, whole."""
-        names = [(path.parent.name, path.name) for path in self.path.glob("runs/*/seed-*")]
-        return {key for method, name in names if (key := parse_key(f"{method}-{name}"))}
+        return {key for key in self._named() if (self.run_path(key) / "run.json").exists()}
+
+    def _named(self) -> set[RunKey]:
+        """The runs that have a folder, with a run in it or not."""
+        paths = self.path.glob("runs/*/seed-*")
+        return {key for p in paths if (key := parse_key(f"{p.parent.name}-{p.name}"))}
+
+    def require_free(self, keys: Iterable[RunKey]) -> None:
+        """Makes sure that runs that are still to be made can be written.
+
+        Raises:
+            ResultsError: if a folder of one of them is there, without a run in it.
+        """
+        finished = self.finished()
+        for key in keys:
+            if key not in finished and os.path.lexists(path := self.run_path(key)):
+                raise ResultsError(f"{path}: is there and holds no finished run: remove it")
 
     def load_run(self, key: RunKey) -> Run:
         """Reads a finished run, without its parameters.
@@ -290,13 +305,13 @@ class ResultsFolder:
             self._load_table(key, info, "test.csv", TEST_COLUMNS),
             self._load_table(key, info, "progress.csv", PROGRESS_COLUMNS),
         )
-        with named_errors(self._run_path(key)):
+        with named_errors(self.run_path(key)):
             _require_whole(run)
         return run
 
     def _load_info(self, key: RunKey) -> dict[str, Any]:
         """run.json, checked."""
-        path = self._run_path(key) / "run.json"
+        path = self.run_path(key) / "run.json"
         with named_errors(path):
             info = from_json(read_bytes(path, LARGEST), RunDocument)
             checked(info["config"], KnownConfig)
@@ -311,14 +326,14 @@ class ResultsFolder:
         data = self._load_file(key, info, name)
         if data is None:
             return to_table(_NONE, columns)
-        with named_errors(self._run_path(key) / name):
+        with named_errors(self.run_path(key) / name):
             return table_from_csv(data.decode(), columns)
 
     def _load_file(self, key: RunKey, info: dict[str, Any], name: str) -> bytes | None:
         """A file of a run; None of one that the run was made without."""
-        path = self._run_path(key) / name
+        path = self.run_path(key) / name
         digests = info.get("files", {})
-        if name in _CAME_LATER and name not in digests and not path.exists():
+        if name in _MAY_LACK and name not in digests and not path.exists():
             return None
         data = read_bytes(path)
         if digests and digests.get(name) != digest_of(data):
@@ -326,7 +341,12 @@ class ResultsFolder:
         return data
 
     def load_all(self) -> list[Run]:
-        """All finished runs: in the order of `METHODS`, other methods after them, then by seed."""
+        """All finished runs: in the order of `METHODS`, other methods after them, then by seed.
+
+        Raises:
+            ResultsError: if one is damaged, or lacks its run.json.
+        """
+        self.require_free(self._named() - self.finished())
         return [self.load_run(key) for key in sort_keys(self.finished())]
 
     def load_params(self, key: RunKey) -> dict[str, np.ndarray]:
@@ -337,7 +357,7 @@ class ResultsFolder:
         """
         data = self._load_file(key, self._load_info(key), "params.npz")
         assert data is not None
-        with named_errors(self._run_path(key) / "params.npz"):
+        with named_errors(self.run_path(key) / "params.npz"):
             return from_npz(data)
 
     def load_recordings(self, key: RunKey) -> dict[str, Recording]:
@@ -351,7 +371,7 @@ class ResultsFolder:
         if data is None:
             return {}
         action_size = run.info["config"].get("agent", {}).get("action_size")
-        with named_errors(self._run_path(key) / "episodes.npz"):
+        with named_errors(self.run_path(key) / "episodes.npz"):
             return recording.from_npz(data, run.episodes["length"], action_size)
 
     def write_partial(self, key: RunKey, episodes: dict[str, Any]) -> None:
@@ -391,7 +411,8 @@ class ResultsFolder:
         if not (self.path / "config.json").exists():
             raise ResultsError(f"{self.path}: has vanished, or its config.json has")
 
-    def _run_path(self, key: RunKey) -> pathlib.Path:
+    def run_path(self, key: RunKey) -> pathlib.Path:
+        """The folder of a run, there or not."""
         return self.path / "runs" / key.method / f"seed-{key.seed:04d}"
 
     def _partial_path(self, key: RunKey) -> pathlib.Path:

@@ -40,7 +40,14 @@ from hitl_jax.runs import (
     episode_seed,
     method_index,
 )
-from hitl_jax.saved import SavedRun, between_episodes, bring_back, facts_of, require_shapes
+from hitl_jax.saved import (
+    SavedRun,
+    between_episodes,
+    bring_back,
+    cannot_return,
+    facts_of,
+    require_shapes,
+)
 from hitl_jax.stages import Slots, Tick, make_stage
 from hitl_jax.steps import (
     complete,
@@ -245,10 +252,16 @@ class Rollout:
             self._seat(slot, spec)
             saved = self._saved.pop(spec.key, None)
             if saved is not None:
-                self._take_up(slot, saved)
+                try:
+                    self._take_up(slot, saved)
+                except (ValueError, TypeError, IndexError) as error:
+                    raise cannot_return(spec.key, error) from error
                 if self._slots.live[slot]:
                     back[slot] = saved.steps[:, self._logged.action]
-        bring_back(self._pool, self._slots.seeds[:, 0], back, self._slots.observation)
+        try:
+            bring_back(self._pool, self._slots.seeds[:, 0], back, self._slots.observation)
+        except ValueError as error:  # Of actions that no run takes.
+            raise cannot_return(spec.key, error) from error
 
     def _seat(self, slot: int, spec: RunSpec) -> None:
         """Gives a slot to a run at its beginning."""
@@ -269,7 +282,7 @@ class Rollout:
         """Makes of a seated run what it was when it was saved, but for its walker."""
         run = self._runs[slot]
         assert run is not None
-        self._check_fit(saved)
+        self._check_fit(saved, run.spec)
         if not self._pool.seedable:
             saved = between_episodes(saved, self._layout)
         self._learner.restore(slot, saved.train, saved.behavior, saved.frames)
@@ -293,7 +306,7 @@ class Rollout:
         self._slots.observation[slot] = saved.observation
         self._look_ahead(run)
 
-    def _check_fit(self, saved: SavedRun) -> None:
+    def _check_fit(self, saved: SavedRun, spec: RunSpec) -> None:
         """Raises CannotReturn unless the arrays are as this agent's are."""
         shapes = self._learner.shapes()
         expected = {
@@ -304,7 +317,7 @@ class Rollout:
             "steps": (len(saved.steps), step_width(self._logged)),
             "recordings": (len(saved.recordings), self._recorded_width),
             "snapshots": (
-                len(saved.snapshots),
+                min(len(saved.snapshots), len(spec.snapshots)),
                 *shapes["behavior"][1:] * bool(len(saved.snapshots)),
             ),
         }

@@ -40,8 +40,9 @@ class RunKey:
 
 def parse_key(file_name: str) -> RunKey | None:
     """The run of a `RunKey.file_name` without setting; None of another name."""
-    match = re.fullmatch(r"([a-z0-9][a-z0-9-]*)-seed-(\d{4,})", file_name)
-    return RunKey(match[1], int(match[2])) if match else None
+    match = re.fullmatch(r"([a-z0-9][a-z0-9-]*)-seed-([0-9]{4,})", file_name)
+    key = RunKey(match[1], int(match[2])) if match else None
+    return key if key and key.file_name == file_name else None
 
 
 def sort_keys(keys: Iterable[RunKey]) -> list[RunKey]:

@@ -130,6 +130,13 @@ def between_episodes(saved: SavedRun, layout: Layout) -> SavedRun:
     )
 
 
+def cannot_return(key: RunKey, error: Exception) -> CannotReturn:
+    """What is said of a run that does not fit; of an error that says so already, that."""
+    if isinstance(error, CannotReturn):
+        return error
+    return CannotReturn(f"{key} was saved by another program; {_ANEW}")
+
+
 def require_shapes(saved: SavedRun, expected: Mapping[str, tuple[int, ...]]) -> None:
     """Refuses a run whose arrays are not as they must be.
 

@@ -32,6 +32,7 @@ from hitl_jax.files import (
     write_bytes_atomic,
 )
 from hitl_jax.provenance import origin
+from hitl_jax.recording import BEST, FIRST_INTERVENTION
 from hitl_jax.run_key import RunKey
 from hitl_jax.saved import SavedRun
 from hitl_jax.schemas import MadeBy, SaveHead
@@ -44,16 +45,16 @@ _DIGEST_SIZE = 16  # bytes
 _ARRAYS = tuple(name for name in SavedRun._fields if name not in ("facts", "frames"))
 
 _FORMS = {
-    "train": ("u", (1,)),
-    "acting": ("u", (1,)),
-    "behavior": ("f", (2,)),
-    "snapshots": ("f", (1, 2)),
-    "boundaries": ("f", (1, 2)),
-    "observation": ("f", (1,)),
-    "steps": ("f", (2,)),
-    "recordings": ("f", (2,)),
+    "train": (np.uint32, (1,)),
+    "acting": (np.uint32, (1,)),
+    "behavior": (np.float32, (2,)),
+    "snapshots": (np.float32, (1, 2)),
+    "boundaries": (np.float32, (1, 2)),
+    "observation": (np.float32, (1,)),
+    "steps": (np.float32, (2,)),
+    "recordings": (np.float32, (2,)),
 }
-"""Kind of the numbers, and how many dimensions there may be."""
+"""Type of the numbers, and how many dimensions there may be."""
 
 Lengths = dict[int, dict[str, int]]
 """Frames of each run, by its name, in each numbered file."""
@@ -176,8 +177,11 @@ class Saves:
             csv = _to_text(arrays[f"{index}/episodes"]).decode()
             table = {k: v.tolist() for k, v in table_from_csv(csv, EPISODE_COLUMNS).items()}
             rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
+            _require_rows(facts, rows)
             saved = SavedRun(facts | {"episodes": rows}, frames=np.array([]), **parts)
             name = saved.key.file_name
+            if saved.key in runs:
+                raise ValueError(f"{saved.key} is there twice")
             has = [file[name] for file in files.values() if name in file]
             shapes = {(frames.dtype.kind, frames.ndim, frames.shape[1:]) for frames in has}
             if not has or len(shapes) > 1 or next(iter(shapes))[:2] != ("f", 2):
@@ -200,18 +204,39 @@ class Saves:
         return self._path / f"{kind}-{number:06d}.npz"
 
     def _numbers(self, kind: str) -> set[int]:
-        found = (re.fullmatch(rf"{kind}-(\d+)\.npz", path.name) for path in self._path.glob("*"))
-        return {int(match[1]) for match in found if match}
+        found = (
+            re.fullmatch(rf"{kind}-([0-9]{{6,9}})\.npz", path.name) for path in self._path.glob("*")
+        )
+        numbers = {int(match[1]) for match in found if match}
+        return {number for number in numbers if self._file(kind, number).is_file()}
 
 
 def _require_forms(facts: dict[str, Any], parts: dict[str, np.ndarray]) -> None:
     """Refuses arrays that are none of a run's; their lengths only the run itself knows."""
     for name, array in parts.items():
-        kind, dimensions = _FORMS[name]
-        if array.dtype.kind != kind or array.ndim not in dimensions:
+        dtype, dimensions = _FORMS[name]
+        # Nothing of a kind is written as an array of any type.
+        if array.ndim not in dimensions or (array.size and array.dtype != dtype):
             raise ValueError(f"{name} of a run is {array.dtype} {array.shape}")
     if sum(length for _, length in facts["recordings"].values()) != len(parts["recordings"]):
         raise ValueError("the recordings of a run have other lengths than it says")
+    if len(parts["snapshots"]) != len(parts["boundaries"]):
+        raise ValueError("a run has other numbers of snapshots and boundaries")
+    if facts["ticks"] < facts["env_steps"]:
+        raise ValueError("a run has more steps than ticks")
+
+
+def _require_rows(facts: dict[str, Any], rows: list[dict[str, Any]]) -> None:
+    """Refuses episodes that are none of a run's."""
+    if [row["episode"] for row in rows] != list(range(1, len(rows) + 1)):
+        raise ValueError("the episodes of a run are not numbered from 1 on")
+    for name, (episode, length) in facts["recordings"].items():
+        if name not in (FIRST_INTERVENTION, BEST) or episode > len(rows):
+            raise ValueError(f"recording {name[:50]!r} is of no episode of its run")
+        if rows[episode - 1]["length"] != length:
+            raise ValueError(f"recording {name!r} has another length than its episode")
+    if facts["diverged"] and facts["diverged"][2] > len(rows):
+        raise ValueError("a run diverged after more episodes than it has")
 
 
 def _by(head: dict[str, Any]) -> str:
@@ -245,7 +270,7 @@ def _write(path: pathlib.Path, arrays: dict[str, np.ndarray]) -> None:
 
 def _read(path: pathlib.Path) -> dict[str, np.ndarray]:
     with named_errors(path):
-        data = read_bytes(path)
+        data = read_bytes(path, at_most=2**50)  # However large the replays are.
         data, digest = data[:-_DIGEST_SIZE], data[-_DIGEST_SIZE:]
         if digest != _digest(data):
             raise ValueError("its checksum is wrong")

@@ -68,6 +68,8 @@ class ShardOf(Struct, forbid_unknown_fields=True):
         """Refuses a shard that is none of its sweep's."""
         if self.number > self.of:
             raise ValueError(f"shard {self.number}/{self.of}: is none of {self.of}")
+        if len(self.methods) * self.seeds > 1_000_000:
+            raise ValueError(f"{len(self.methods) * self.seeds} runs: must be at most 1000000")
         if len(set(self.methods)) < len(self.methods):
             raise ValueError("a method is there twice")
 

@@ -68,6 +68,9 @@ _FLOATS = ("return", "shaped_return", "mean_boundary", "final_boundary", "lead_s
 _NUMBER = r"(?:-?[0-9]+(?:\.[0-9]+)?(?:e[-+]?[0-9]+)?|nan|)"
 """As Python writes it; NaN is a cell without anything too."""
 _MOST_COUNT = 2**53
+_GREATEST = 1e30
+"""Of what is measured: greater numbers are none, and their sums overflow."""
+_LONGEST_CELL = 500
 _MAY_BE_NAN = ("mean_boundary", "final_boundary", "lead_steps")
 
 
@@ -132,6 +135,8 @@ def cells_from_csv(text: str, names: tuple[str, ...]) -> dict[str, tuple[str, ..
     if not rows or tuple(rows[0]) != names:
         raise ValueError(f"the header is not {','.join(names[:3])},…")
     for number, row in enumerate(rows[1:], start=2):
+        if max(map(len, row), default=0) > _LONGEST_CELL:
+            raise ValueError(f"line {number} has a cell of more than {_LONGEST_CELL} characters")
         if len(row) != len(names):
             raise ValueError(f"line {number} has {len(row)} of {len(names)} cells")
     if not text.endswith("\n"):
@@ -162,7 +167,7 @@ def finite(name: str, cells: Sequence[str], or_nan: bool = False) -> np.ndarray:
     """
     _require_digits(name, cells)
     numbers = np.array([float(cell) for cell in cells], np.float64)
-    if not (np.isfinite(numbers) | (np.isnan(numbers) & or_nan)).all():
+    if not ((np.abs(numbers) <= _GREATEST) | (np.isnan(numbers) & or_nan)).all():
         raise ValueError(f"column {name!r} holds a value that is not finite")
     return numbers
 
@@ -199,6 +204,8 @@ def _column(name: str, values: object) -> np.ndarray:
     if name not in _MAY_BE_NAN and not np.isfinite(numbers).all():
         raise ValueError(f"column {name!r} holds a value that is missing or not finite")
     if name in _FLOATS:
+        if (np.abs(numbers) > _GREATEST).any():
+            raise ValueError(f"column {name!r} holds a value beyond {_GREATEST:g}")
         return numbers
     if (numbers != np.floor(numbers)).any():
         raise ValueError(f"column {name!r} holds a value that is not a whole number")

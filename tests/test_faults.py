@@ -38,8 +38,8 @@ def test_what_differs_is_named(folders):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--kills", "-1"], "--kills -1: must be at least 0"),
-        (["--moves", "-1"], "--moves -1: must be at least 0"),
+        (["--kills", "-1"], "--kills -1: must be at least 0 and at most 2147483647"),
+        (["--moves", "-1"], "--moves -1: must be at least 0 and at most 2147483647"),
         (["--longest", "0"], "--longest 0.0: must be at least 0.1"),
         (["--out", "."], "--out .: is there already; name a new folder"),
     ],

@@ -293,7 +293,6 @@ def test_folders_that_cannot_be_used(tmp_path, monkeypatch):
         ("run.json", '{"format": true}', "damaged: is not of format 2"),
         ("run.json", '{"format": 2}', "damaged: its digest is not"),
         ("run.json", '{"format": 1}', "damaged: Object missing required field `method`"),
-        ("run.json", None, "No such file"),
         ("episodes.csv", "", "damaged: the header is not episode,return"),
         ("episodes.csv", "episode,return\n", "damaged: the header"),
         ("episodes.csv", b"\xff\xfe", "damaged: .*decode"),
@@ -337,6 +336,13 @@ def test_damaged_cells_are_named(folder):
     path.write_text(text[:-1])
     with pytest.raises(ResultsError, match="line 5 is cut short"):
         folder.load_run(KEY)
+
+
+def test_a_run_without_its_run_json_is_named(folder):
+    save(folder)
+    (folder.path / "runs/hitl-ac/seed-0003/run.json").unlink()
+    with pytest.raises(ResultsError, match="seed-0003: is there and holds no finished run"):
+        folder.load_all()
 
 
 @pytest.mark.parametrize("name", results.RUN_FILES)

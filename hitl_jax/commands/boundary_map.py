@@ -145,6 +145,8 @@ def _cells(folder: ResultsFolder) -> list[np.ndarray]:
     """The columns of the data, [C] each."""
     data = numbers_from_csv(read_bytes(folder.path / DATA).decode(), _COLUMNS)
     angles, velocities, steps, boundary = data.values()
+    if not steps.size:
+        raise ValueError("has no cell")
     if (steps < 1).any() or (steps != np.floor(steps)).any():
         raise ValueError("steps: must be whole numbers of at least 1")
     for name, values, edges in (("angle", angles, _ANGLES), ("velocity", velocities, _VELOCITIES)):

@@ -6,14 +6,14 @@ import pathlib
 import numpy as np
 
 from hitl_jax.archives import Form, from_npz, to_npz
-from hitl_jax.files import read_bytes, write_bytes_atomic
+from hitl_jax.files import ResultsError, read_bytes, write_bytes_atomic
 from hitl_jax.human import HumanPart, recorded
 from hitl_jax.results import ResultsFolder
 
 SIMULATED = "simulated"
 PREFIX = "recorded:"
 _IN_FOLDER = "human.npz"
-_MOST_STEPS = 2**30
+_MOST_STEPS = 2**26
 """That a person may have judged."""
 
 
@@ -88,6 +88,8 @@ def _read(path: pathlib.Path, human: str) -> np.ndarray:
             raise ValueError("its judgements are no bool [T]")
 
     try:
-        return from_npz(read_bytes(path), _MOST_STEPS, require)["dangerous"]
+        return from_npz(read_bytes(path, _MOST_STEPS), _MOST_STEPS, require)["dangerous"]
+    except ResultsError as error:
+        raise ValueError(f"--human {error}") from error
     except ValueError as error:
         raise ValueError(f"--human {human}: is no file of `hitl-jax recorded`") from error

@@ -24,6 +24,8 @@ from hitl_jax.differences import require_same
 from hitl_jax.files import ResultsError, locked
 from hitl_jax.results import ResultsFolder
 
+_NAMED = 5
+
 
 @dataclasses.dataclass(frozen=True)
 class MergeOptions:
@@ -93,6 +95,7 @@ def _require_finished(folder: ResultsFolder, shard: Shard) -> None:
     Raises:
         ResultsError: naming one that is not, or what is damaged.
     """
+    folder.require_free(shard.runs())
     finished = folder.finished()
     missing = [key for key in shard.runs() if key not in finished]
     if missing:
@@ -136,6 +139,9 @@ def _require_whole(folders: Sequence[ResultsFolder], shards: Sequence[Shard]) ->
         seen[shard.number] = folder
     wanted = (first._replace(number=number) for number in range(1, first.of + 1))
     # Where there are more shards than runs, some have none, and no folder.
-    missing = [f"{one.number}/{one.of}" for one in wanted if one.number not in seen and one.runs()]
+    count = len(first.methods) * first.seeds
+    missing = [one for one in wanted if one.number not in seen and one.places(count)]
     if missing:
-        raise ResultsError(f"shards {', '.join(missing)}: missing")
+        named = [f"{one.number}/{one.of}" for one in missing[:_NAMED]]
+        more = [f"and {len(missing) - _NAMED} more"] * (len(missing) > _NAMED)
+        raise ResultsError(f"shards {', '.join([*named, *more])}: missing")

@@ -20,9 +20,10 @@ from hitl_jax.commands.ablations.store import Store
 from hitl_jax.commands.cli import BadInput
 from hitl_jax.commands.reports.claims import Claim, Results, judge
 from hitl_jax.commands.reports.starts import judge_starts
+from hitl_jax.commands.trained import section_of
 from hitl_jax.commands.tuning import TuningOptions
 from hitl_jax.commands.tuning import table as tuning_table
-from hitl_jax.config import Method
+from hitl_jax.config import Hyper, Method
 from hitl_jax.differences import flatten
 from hitl_jax.figure_parts import Drawn
 from hitl_jax.figures import draw_all
@@ -128,8 +129,9 @@ def _comparison(comparison: _Comparison, root: pathlib.Path) -> str:
     seeds = ", ".join(f"{method} {len(of)}" for method, of in runs.items())
     commits = Counter(short_commit(run.info["commit"]) for of in runs.values() for run in of)
     made = ", ".join(f"{commit} ({count} runs)" for commit, count in commits.items())
+    hyper = section_of(folder, "hyper", Hyper)
     try:
-        claims = judge(Results(runs, config["hyper"]["human"]["tolerance"]))
+        claims = judge(Results(runs, hyper.human.tolerance))
     except ValueError as error:
         return f"{title}\nUnder way: {error}.\n"
     steps = sum(run.info["env_steps"] for of in runs.values() for run in of) / 1e6
@@ -229,14 +231,14 @@ def _map(path: pathlib.Path) -> str:
     _tell(boundary_map.draw(folder))
     steps, boundary = boundary_map.told(folder)
     config, runs = folder.load_config(), len(folder.finished())
-    hyper = config["hyper"]
+    hyper = section_of(folder, "hyper", Hyper)
     return (
         f"{title}\n{runs} runs of {config['episodes']} episodes; the autonomous test, "
         f"{steps.sum():,.0f} steps. The mean boundary is "
         f"{np.average(boundary, weights=steps):.2f} rad, of the cells from {boundary.min():.2f} to "
-        f"{boundary.max():.2f}; its bounds are {hyper['boundary_low']} and "
-        f"{hyper['boundary_high']}, it began at {hyper['initial_boundary']}, and the human's "
-        f"tolerance is {hyper['human']['tolerance']}. Tables: "
+        f"{boundary.max():.2f}; its bounds are {hyper.boundary_low} and "
+        f"{hyper.boundary_high}, it began at {hyper.initial_boundary}, and the human's "
+        f"tolerance is {hyper.human.tolerance}. Tables: "
         f"[{path.name}/summary.md]({path.name}/summary.md).\n\n"
         f"![the boundary over hull angle and its velocity]({path.name}/figures/figure9_map.png)\n"
     )

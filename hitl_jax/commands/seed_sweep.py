@@ -68,6 +68,7 @@ def main(options: SweepOptions) -> int:
                 held.enter_context(locked(folder.path))
                 part = options.part()
                 changed = folder.create_or_resume(config, command, part and part._asdict())
+                folder.require_free(spec.key for spec in options.specs())
                 judgements.keep(folder.path, dangerous)
             except ResultsError as error:
                 raise BadInput(f"--out {error}") from error

@@ -30,15 +30,20 @@ class Shard(NamedTuple):
         """What all shards of a sweep have in common."""
         return {name: value for name, value in self._asdict().items() if name != "number"}
 
+    def places(self, count: int) -> range:
+        """Which of so many runs are its: neighbours, so that many are of all methods."""
+        first, stop = (count * end // self.of for end in (self.number - 1, self.number))
+        return range(first, stop)
+
     def part(self, runs: Sequence[T]) -> list[T]:
-        """Its runs: neighbours, so that each shard has runs of all methods where it has many."""
-        first, stop = (len(runs) * end // self.of for end in (self.number - 1, self.number))
-        return list(runs[first:stop])
+        """Its runs of all."""
+        return [runs[place] for place in self.places(len(runs))]
 
     def runs(self) -> list[RunKey]:
-        """The names of its runs."""
-        seeds = range(self.first_seed, self.first_seed + self.seeds)
-        return self.part([RunKey(method, seed) for seed in seeds for method in self.methods])
+        """The names of its runs: seed after seed, of each all methods."""
+        several = len(self.methods)
+        places = (divmod(place, several) for place in self.places(several * self.seeds))
+        return [RunKey(self.methods[method], self.first_seed + seed) for seed, method in places]
 
 
 def parse(text: str) -> tuple[int, int]:

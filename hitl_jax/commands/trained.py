@@ -28,7 +28,7 @@ def agent_of(folder: ResultsFolder, human_policy: str | None = None) -> Agent:
         ResultsError: if the folder was not written by this program.
         ValueError: if the file is no such checkpoint.
     """
-    config = _section(folder, "agent", AgentConfig)
+    config = section_of(folder, "agent", AgentConfig)
     return make_team(config, human_policy, judgements.kept(folder))
 
 
@@ -70,19 +70,19 @@ def load_trained(agent: Agent, folder: ResultsFolder, key: RunKey) -> tuple[RunS
     Raises:
         ResultsError: if the run is not there, or is not of this program.
     """
-    hyper = _section(folder, "hyper", Hyper)
+    hyper = section_of(folder, "hyper", Hyper)
     arrays = folder.load_params(key)
     with named_errors(folder.path):
         validate_hyper(hyper)
         method = Method(key.method)
-    with named_errors(folder.path / "runs" / key.file_name / "params.npz"):
+    with named_errors(folder.run_path(key) / "params.npz"):
         params = checkpoint.networks_of(agent, arrays)
     acts = Behavior(actor=params["actor"], boundary_actor=params["boundary_actor"])
     spec = RunSpec(method, key.seed, hyper_for(method, hyper), folder.load_config()["episodes"])
     return spec, Snapshot(spec.episodes, acts, params["boundary"])
 
 
-def _section(folder: ResultsFolder, name: str, kind: type[T]) -> T:
+def section_of(folder: ResultsFolder, name: str, kind: type[T]) -> T:
     """A part of config.json as the options that it was written from.
 
     Raises:
@@ -90,7 +90,8 @@ def _section(folder: ResultsFolder, name: str, kind: type[T]) -> T:
     """
     config = folder.load_config()
     section = config.get(name)
-    if not isinstance(section, dict) or "episodes" not in config:
-        raise ResultsError(f"{folder.path}: config.json has no {name!r}: not of a sweep")
+    for has, what in ((isinstance(section, dict), name), ("episodes" in config, "episodes")):
+        if not has:
+            raise ResultsError(f"{folder.path}: config.json has no {what!r}: not of a sweep")
     with named_errors(folder.path / "config.json"):
         return options_of(section, kind)

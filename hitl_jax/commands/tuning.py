@@ -220,6 +220,9 @@ def _load(path: pathlib.Path) -> dict[str, Any] | None:
     return data
 
 
+_Measured = Annotated[float, msgspec.Meta(ge=-1e30, le=1e30)]
+
+
 class _Budget(msgspec.Struct):
     seeds: Positive
     first_seed: Count
@@ -237,12 +240,12 @@ class _Asked(msgspec.Struct):
 class _Stage(msgspec.Struct, rename="kebab"):
     ticks: Positive
     seconds: Annotated[float, msgspec.Meta(gt=0.0)]
-    srl: list[float]
-    hitl_fix: list[float]
-    hitl_ac: list[float]
+    srl: list[_Measured]
+    hitl_fix: list[_Measured]
+    hitl_ac: list[_Measured]
 
 
-_Returns = Annotated[list[float], msgspec.Meta(min_length=1)]
+_Returns = Annotated[list[_Measured], msgspec.Meta(min_length=1)]
 
 
 class _Tests(msgspec.Struct, rename="kebab"):

@@ -26,8 +26,8 @@ _FIELDS: dict[str, dict[str, type]] = {
     "speed": {"factor": float},
     "seen": {"frame": int},
 }
-_NOTED: dict[str, dict[str, type]] = {"gone": {"frame": int}}
-"""What no page says."""
+_NOTED: dict[str, dict[str, type]] = {"gone": {"frame": int}, "no_answer": {"frame": int}}
+"""What no page says, and a journal has."""
 
 JUDGING = ("danger", "safe", "take", "let_go", "hands", "assist", "undo", "gone")
 """What changes the session; the others change how fast it is shown. `gone` no page says: it stands

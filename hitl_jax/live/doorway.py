@@ -120,7 +120,13 @@ def make_server(app: Any, doorway: Doorway, **options: Any) -> uvicorn.Server:
             doorway.come(transport, lambda: bool(self.cycle and not self.cycle.response_complete))
 
     config = uvicorn.Config(
-        app, http=Protocol, log_level="warning", lifespan="off", backlog=_AT_ONCE, **options
+        app,
+        http=Protocol,
+        log_level="warning",
+        lifespan="off",
+        backlog=_AT_ONCE,
+        proxy_headers=False,  # Or who shows the token behind a proxy would be known by its name.
+        **options,
     )
     few = FewLines()
     for name in ("uvicorn.error", "asyncio", "websockets.server"):

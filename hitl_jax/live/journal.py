@@ -32,7 +32,7 @@ VERSION = 3
 _WITHOUT_SUMS = 2
 """The version before: its lines have no checksums."""
 
-_BEGINNING = b'{"journal":'
+_BEGINNINGS = (b'{"journal":3,"', b'{"journal":2,"')
 _SUM = b',"sum":"'
 _FIRST_SUM = b""
 
@@ -64,15 +64,15 @@ class Journal:
         with named_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             _require_room(path)
-            self._file = open_plain(path, os.O_RDWR | os.O_APPEND | os.O_CREAT)
+            self._file = open_plain(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, "copy it")
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             self.close()
             raise ResultsError(f"{path}: another process plays this session") from error
         whole = read_bytes(path)
-        beginning = whole[: len(_BEGINNING)]
-        if beginning == _BEGINNING[: len(beginning)]:  # Not of a file that is something else.
+        # Not of a file that is something else.
+        if any(whole.startswith(one) or one.startswith(whole) for one in _BEGINNINGS):
             whole = whole[: whole.rfind(b"\n") + 1]
             os.truncate(self._file, len(whole))
         self.is_new = not os.fstat(self._file).st_size

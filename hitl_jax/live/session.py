@@ -178,10 +178,10 @@ class Session:
 
     def move(self, action: list[float]) -> None:
         """What the person's keys ask of hips and knees from now on, [A] in [-1, 1]."""
-        values = np.asarray(action, np.float32)
+        values = np.asarray(action, np.float64)
         if values.shape != self._action.shape or not (np.abs(values) <= 1).all():
             raise ValueError("hands: must be four numbers from -1 to 1")
-        self._action = values
+        self._action = values.astype(np.float32)
 
     def assist(self, on: bool) -> None:
         """Whether the assistant walks while the person has the controls."""

@@ -103,8 +103,8 @@ def make(root: pathlib.Path) -> None:
         del line["sum"]
     (root / "session-2.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     (root / "ablation").mkdir()
-    rows = [["default", "hitl-ac", seed, "0123456789ab", "abc1234", *range(21)] for seed in (0, 1)]
-    rows = [[*row, *[""] * (len(_COLUMNS) - len(row))] for row in rows]
+    measures = ["" if name == "alarm_precision" else 1 for name in _COLUMNS[5:]]
+    rows = [["default", "hitl-ac", seed, "0123456789ab", "abc1234", *measures] for seed in (0, 1)]
     (root / "ablation" / "runs.csv").write_text(
         "".join(",".join(map(str, row)) + "\n" for row in (_COLUMNS, *rows))
     )
@@ -190,7 +190,7 @@ def _make_saves(path: pathlib.Path, rng: np.random.Generator) -> None:
         rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
         facts = dataclasses.asdict(KEY) | {"ticks": ticks, "env_steps": 3, "updates": 1}
         facts |= {"seconds": 1.0, "begun": True, "diverged": None, "commits": ["abc"]}
-        facts |= {"recordings": {"best": [1, 2]}, "versions": {"jax": "1"}, "episodes": rows}
+        facts |= {"recordings": {"best": [1, _LENGTH]}, "versions": {"jax": "1"}, "episodes": rows}
         saves.write(
             [
                 SavedRun(
@@ -202,7 +202,7 @@ def _make_saves(path: pathlib.Path, rng: np.random.Generator) -> None:
                     boundaries=np.zeros(0, np.float32),
                     observation=np.zeros(24, np.float32),
                     steps=np.zeros((1, 17), np.float32),
-                    recordings=np.zeros((2, 9), np.float32),
+                    recordings=np.zeros((_LENGTH, 9), np.float32),
                     frames=rng.random((4, 5)).astype(np.float32),
                 )
             ]
@@ -223,6 +223,7 @@ def _make_journal(path: pathlib.Path) -> None:
         {"type": "pause", "on": True},
         {"type": "speed", "factor": 2.0},
         {"type": "seen", "frame": 12},
+        {"type": "no_answer", "frame": 11},
         {"type": "gone", "frame": 12},
         {"type": "safe", "frame": 13},
     ]

@@ -9,7 +9,8 @@ import threading
 import time
 
 import pytest
-from live_team import Served, setup_of
+from live_team import TOKEN, Served, setup_of
+from websockets.sync.client import connect
 
 from hitl_jax.commands.benchmarks.crowd import crowd, seconds_of_page
 from hitl_jax.live.doorway import Doorway, FewLines, make_server
@@ -134,6 +135,21 @@ def test_a_page_is_had_beside_a_crowd(tmp_path):
         time.sleep(1.0)
         for _ in range(5):
             assert seconds_of_page(served.address) < 20.0
+
+
+def test_a_page_behind_a_proxy_stays(tmp_path, monkeypatch):
+    """Which says for whom it asks; the connection is the proxy's."""
+    monkeypatch.setattr("hitl_jax.live.server.Doorway", lambda: Doorway(patience=0.3))
+    with Served(Session(setup_of()), tmp_path / "journal.jsonl") as served:
+        page = connect(
+            f"ws://127.0.0.1:{served.port}/socket?token={TOKEN}",
+            additional_headers={"X-Forwarded-For": "10.1.2.3", "X-Forwarded-Proto": "https"},
+        )
+        with page:
+            time.sleep(1.0)
+            page.send(json.dumps({"type": "pause", "on": True}))
+            while json.loads(page.recv(timeout=20)).get("paused") is not True:
+                pass
 
 
 def test_a_page_without_the_token_is_a_stranger(tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ import threading
 import numpy as np
 import pytest
 
+from hitl_jax import files
 from hitl_jax.differences import ConfigMismatch
 from hitl_jax.files import (
     LOCK,
@@ -217,3 +218,56 @@ def test_a_folder_that_is_moved_before_it_is_begun_is_not_made_anew(tmp_path):
         with pytest.raises(ResultsError, match="is not the folder that this process has locked"):
             _begun(path, _CONFIG)
     assert not path.exists()
+
+
+@pytest.mark.parametrize("name", ["seed-0000", "seed-00000", "seed-٠٠٠٠", "seed-0000.csv"])
+def test_a_folder_without_a_run_is_no_finished_run(tmp_path, name):
+    """As an interrupted download leaves it: what is under way must not be given up for it."""
+    folder = _begun(tmp_path, _CONFIG)
+    (tmp_path / "runs" / "srl" / name).mkdir(parents=True)
+    assert folder.finished() == set()
+    wanted = [RunKey("srl", 0)]
+    if name == "seed-0000":
+        with pytest.raises(ResultsError, match="seed-0000: is there and holds no finished run"):
+            folder.require_free(wanted)
+        (tmp_path / "runs" / "srl" / name).rmdir()
+    folder.require_free(wanted)
+    _save(folder, *wanted)
+    assert folder.finished() == set(wanted)
+    folder.require_free(wanted)
+
+
+@pytest.mark.parametrize("number", ["9999999999999", "٠٠٠٠٠٩", "0000000001", "1"])
+def test_files_of_other_names_are_no_saves(tmp_path, number):
+    (tmp_path / f"frames-{number}.npz").write_bytes(b"mine")
+    (tmp_path / f"state-{number}.npz").write_bytes(b"mine")
+    saves = Saves(tmp_path, capacity=8)
+    assert saves.load() == ({}, [])
+    saves.write([])
+    assert (tmp_path / "state-000001.npz").exists()
+    assert Saves(tmp_path, capacity=8).load() == ({}, [])
+    saves.remove()
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_what_is_removed_before_it_is_locked_is_written_again(tmp_path, monkeypatch, kind):
+    """By a process that takes it for a leftover."""
+    opened, left = files.os.open, 2
+
+    def open_and_lose(path, *arguments, **more):
+        nonlocal left
+        descriptor = opened(path, *arguments, **more)
+        if ".tmp-" in str(path) and left:
+            left -= 1
+            remove_leftovers(tmp_path)
+        return descriptor
+
+    monkeypatch.setattr(files.os, "open", open_and_lose)
+    if kind == "file":
+        write_bytes_atomic(tmp_path / "run.json", b"{}")
+        assert (tmp_path / "run.json").read_bytes() == b"{}"
+    else:
+        write_folder_atomic(tmp_path / "seed-0000", {"run.json": b"{}"})
+        assert (tmp_path / "seed-0000" / "run.json").read_bytes() == b"{}"
+    assert len(list(tmp_path.iterdir())) == 1

@@ -114,6 +114,42 @@ def test_arrays_come_back_as_they_were(told):
         assert found[name].flags.writeable
 
 
+@pytest.mark.parametrize(
+    ("array", "said"),
+    [
+        (np.zeros(3, ">f4"), "no numbers"),
+        (np.zeros(3, np.longdouble), "no numbers"),
+        (np.zeros(3, np.complex64), "no numbers"),
+        (np.array(["a"]), "no numbers"),
+        (np.full(3, 7, np.uint8).view(bool), "truth values that are none"),
+    ],
+)
+def test_numbers_that_we_do_not_write_are_refused(array, said):
+    with pytest.raises(ValueError, match=said):
+        archives.from_npz(archives.to_npz({"w": array}))
+
+
+def test_an_old_header_is_refused_without_a_warning():
+    data = archives.to_npz({"w": np.zeros(3)}).replace(b"(3,)", b"(3L)")
+    with pytest.raises(ValueError, match=r"Warning|header|CRC"):
+        archives.from_npz(data)
+
+
+def test_a_document_with_a_digest_is_held_to_it_whatever_its_format():
+    text = to_json({"config": {"gamma": 0.5}})
+    for changed in (text.replace("0.5", "0.6"), text.replace("0.5", "0.6").replace("2,", "1,", 1)):
+        with pytest.raises(ValueError, match="its digest is not"):
+            from_json(changed.encode(), dict)
+
+
+def test_a_long_cell_costs_no_memory():
+    head = ",".join(tables.EPISODE_COLUMNS) + "\n"
+    row = ",".join(["1"] * len(tables.EPISODE_COLUMNS)) + "\n"
+    text = head + row * 6000 + "1" * 100_000 + row
+    with _at_most(60 * 2**20), pytest.raises(ValueError, match="line 6002 has a cell of more"):
+        tables.table_from_csv(text, tables.EPISODE_COLUMNS)
+
+
 @many
 @hypothesis.given(st.binary(max_size=400))
 def test_bytes_of_any_kind_are_no_arrays(data):

@@ -45,10 +45,30 @@ def test_what_is_no_file_is_no_journal(tmp_path, kind, capsys):
     assert run_main("live", live.main, options) == 2
     said = capsys.readouterr().err
     assert said == f"error: --journal {path}: must be a plain file of one name, or not there: " + (
-        "remove it\n"
+        "copy it\n"
     )
     assert users.read_text() == "years of work"
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"journal":"Nature","title":"x"}',
+        '{"journal":"Nature"}\n{"more":1}',
+        '{"journal": 3}',
+        "{}",
+    ],
+)
+def test_a_file_of_something_else_is_left_as_it_is(tmp_path, text):
+    path = tmp_path / "refs.json"
+    path.write_text(text)
+    noted = journal.Journal(path)
+    assert not noted.is_new
+    noted.close()
+    with pytest.raises(ResultsError, match="journal"):
+        journal.read(path)
+    assert path.read_text() == text
 
 
 @pytest.mark.parametrize("letter", ["a", "ü"])

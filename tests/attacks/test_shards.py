@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import time
 
 import numpy as np
 import pytest
@@ -109,7 +110,7 @@ def test_a_damaged_run_is_not_merged(shards, tmp_path, capsys, name, damage):
     damage(shards[1] / _RUN / name)
     code, said = _merge(shards, tmp_path / "out", capsys)
     assert (code, said.count("\n")) == (2, 1)
-    assert f"{_RUN}/" in said
+    assert _RUN in said
     assert not (tmp_path / "out").exists()
 
 
@@ -152,6 +153,8 @@ def test_a_run_that_was_forged_is_not_merged(shards, tmp_path, capsys, change, s
         ({"seeds": 10**12}, "Expected `int` <= 100000"),
         ({"first_seed": -1}, "Expected `int` >= 0"),
         ({"more": 1}, "unknown field"),
+        ({"of": 100_000, "seeds": 100_000}, "asked for"),
+        ({"methods": [f"m{n}" for n in range(100)], "seeds": 100_000}, "must be at most 1000000"),
     ],
 )
 def test_a_shard_that_cannot_be_is_refused(shards, tmp_path, capsys, change, said):
@@ -159,6 +162,18 @@ def test_a_shard_that_cannot_be_is_refused(shards, tmp_path, capsys, change, sai
     code, told = _merge(shards, tmp_path / "out", capsys)
     assert (code, told.count("\n")) == (2, 1)
     assert said in told
+
+
+def test_many_missing_shards_are_told_soon_and_briefly(tmp_path, capsys):
+    _shard(tmp_path / "1", 1)
+    large = {"of": 100_000, "seeds": 100_000}
+    rewrite(tmp_path / "1" / "config.json", lambda document: document["shard"].update(large))
+    began = time.monotonic()
+    code, said = _merge([tmp_path / "1"], tmp_path / "out", capsys)
+    assert code == 2
+    assert "shards 2/100000, 3/100000" in said
+    assert "and 99994 more: missing" in said
+    assert time.monotonic() - began < 10.0
 
 
 def test_too_few_episodes_are_no_run_of_the_config(tmp_path, capsys):

@@ -131,4 +131,6 @@ def _parse(line: dict[str, str]) -> tuple[RunId, Row]:
     measures = {
         name: finite(name, [line[name]], True).item() if line[name] else None for name in _MEASURES
     }
+    if measures["diverged"] not in (0.0, 1.0):
+        raise ValueError(f"setting {run.setting[:50]!r}: diverged must be 0 or 1")
     return run, {"commit": line["commit"], **measures}
