@@ -184,6 +184,7 @@ def _twice() -> bytes:
         (_many_entries(), "unpacks to 200,000,000 bytes"),
         (_twice(), "entry 'w.npy': must be an array, once"),
     ],
+    ids=["one", "many", "twice"],  # Or their bytes, which differ from process to process.
 )
 def test_what_unpacks_to_more_than_it_should_costs_nothing(data, said):
     assert len(data) < 2**21
