@@ -3,7 +3,7 @@
 ::
 
     OUT/config.json                          what defines the numbers, the command, the versions
-    OUT/runs/<method>/seed-0003/run.json     the run: config, versions, commit, cost
+    OUT/runs/<method>/seed-0003/run.json     the run: config, versions, commit, cost, digests
     OUT/runs/<method>/seed-0003/episodes.csv training episodes
     OUT/runs/<method>/seed-0003/test.csv     test episodes
     OUT/runs/<method>/seed-0003/progress.csv test episodes at earlier points of training
