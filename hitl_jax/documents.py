@@ -16,7 +16,7 @@ FORMAT = 2
 _WITHOUT_DIGEST = 1
 
 _DEEPEST = 12
-LARGEST = 16 * 2**20
+LARGEST_JSON = 16 * 2**20
 """Of a JSON file [bytes]."""
 
 T = TypeVar("T")
@@ -29,9 +29,10 @@ def to_json(document: dict[str, Any]) -> str:
         document: what JSON can hold, no NaN; NumPy's numbers and arrays too.
 
     Raises:
-        ValueError: if it cannot be read back.
+        ValueError: one line, if it could not be read back.
     """
     whole = {"format": FORMAT, **document}
+    require_plain(json.loads(_text(whole)))
     return _text(whole | {"digest": _digest(json.loads(_text(whole)))})
 
 

@@ -57,13 +57,15 @@ def origin() -> dict[str, Any]:
 
 
 def processor() -> str:
-    """The processor's name."""
+    """The processor's name, in one line."""
     try:
         with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
             names = [line.partition(":")[2].strip() for line in lines if "model name" in line]
     except OSError:
         names = []
-    return names[0] if names else platform.processor() or platform.machine()
+    name = names[0] if names else platform.processor() or platform.machine()
+    # Or the results of hours could not be read back: they may hold no control characters.
+    return "".join(letter if letter.isprintable() else " " for letter in name).strip()
 
 
 def short_commit(commit: str | None) -> str:

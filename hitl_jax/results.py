@@ -31,7 +31,7 @@ import numpy as np
 from hitl_jax import recording
 from hitl_jax.archives import from_npz, to_npz
 from hitl_jax.differences import changes, completed, require_same
-from hitl_jax.documents import LARGEST, checked, digest_of, from_json, require_plain, to_json
+from hitl_jax.documents import LARGEST_JSON, checked, digest_of, from_json, to_json
 from hitl_jax.files import (
     LOCK,
     TEMPORARY,
@@ -185,7 +185,7 @@ class ResultsFolder:
         if not path.exists():
             raise ResultsError(f"{self.path}: no results here (no config.json)")
         with named_errors(path):
-            document = from_json(read_bytes(path, LARGEST), FolderDocument)
+            document = from_json(read_bytes(path, LARGEST_JSON), FolderDocument)
             checked(document["config"], KnownConfig)
         return document
 
@@ -313,7 +313,7 @@ class ResultsFolder:
         """run.json, checked."""
         path = self.run_path(key) / "run.json"
         with named_errors(path):
-            info = from_json(read_bytes(path, LARGEST), RunDocument)
+            info = from_json(read_bytes(path, LARGEST_JSON), RunDocument)
             checked(info["config"], KnownConfig)
         if (info["method"], info["seed"]) != (key.method, key.seed):
             raise ResultsError(f"{path}: is of another run than its folder's name")
@@ -426,7 +426,6 @@ def _as_on_the_disk(config: dict[str, Any]) -> dict[str, Any]:
         ValueError: if it is not what a file may hold.
     """
     plain: dict[str, Any] = json.loads(to_json({"config": config}))["config"]
-    require_plain(plain)
     return plain
 
 

@@ -419,3 +419,23 @@ def test_reading_results_needs_no_jax():
     code = f"import sys\nfrom hitl_jax import {names}\n"
     code += "assert not {'jax', 'pandas', 'gymnasium', 'matplotlib.pyplot'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_processor_of_any_name_can_be_kept(folder, monkeypatch):
+    """As firmware gives it: with tabs, a NUL at its end, or spaces that are none."""
+    monkeypatch.setattr(provenance.platform, "processor", lambda: "A\tcore\xa05\0")
+    monkeypatch.setattr("builtins.open", _no_cpuinfo(open))
+    machine = f"{provenance.processor()}, 2 cores"
+    assert machine == "A core 5, 2 cores"
+    info = make_info(machine=machine)
+    folder.save_run(KEY, make_episodes(), make_tests(), make_params(), info)
+    assert folder.load_run(KEY).info["machine"] == machine
+
+
+def _no_cpuinfo(real):
+    def opened(path, *arguments, **more):
+        if path == "/proc/cpuinfo":
+            raise FileNotFoundError(path)
+        return real(path, *arguments, **more)
+
+    return opened

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hitl_jax.documents import to_json
+from hitl_jax.documents import FORMAT, _digest
 
 Damage = Callable[[bytes, random.Random], bytes]
 
@@ -177,7 +177,8 @@ def swap_types_and_sign(data: bytes, chance: random.Random) -> bytes:
     document.pop("digest", None)
     _damage_document(document, chance)
     document.pop("digest", None)
-    return to_json(document).encode()
+    whole = {"format": FORMAT, **document} if isinstance(document, dict) else document
+    return json.dumps(whole | {"digest": _digest(whole)}).encode()
 
 
 def not_numbers(data: bytes, chance: random.Random) -> bytes:
