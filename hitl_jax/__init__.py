@@ -8,8 +8,8 @@ import importlib
 from typing import Any
 
 _EXPORTS = {
-    "hitl_jax.acting": ("ActingState", "Decision", "act", "begin_episode", "init_acting"),
-    "hitl_jax.agent": (
+    "hitl_jax.team.acting": ("ActingState", "Decision", "act", "begin_episode", "init_acting"),
+    "hitl_jax.team.agent": (
         "Agent",
         "behavior",
         "init",
@@ -19,6 +19,9 @@ _EXPORTS = {
         "update_boundary",
     ),
     "hitl_jax.config": ("AgentConfig", "Hyper", "Method", "RunHyper", "hyper_for"),
+    "hitl_jax.envs": ("make_pool",),
+    "hitl_jax.training.rollout": ("Rollout",),
+    "hitl_jax.training.run_spec": ("LoopConfig", "RunSpec"),
     "hitl_jax.types": (
         "Behavior",
         "BoundaryState",

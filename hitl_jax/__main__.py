@@ -4,7 +4,7 @@ import importlib
 import sys
 from collections.abc import Sequence
 
-from hitl_jax.commands.output import go_on_without_readers, replace_what_cannot_be_encoded
+from hitl_jax.console.output import go_on_without_readers, replace_what_cannot_be_encoded
 
 _COMMANDS = {
     "sweep": ("seed_sweep", "trains and tests the three methods over many seeds"),
@@ -53,7 +53,7 @@ def main(words: Sequence[str] | None = None) -> int:
     if name not in _COMMANDS:
         print(f"error: {name}: must be one of {', '.join(_COMMANDS)}", file=sys.stderr)
         return 2
-    from hitl_jax.commands.cli import run_main
+    from hitl_jax.console.cli import run_main
 
     sys.argv[1:] = options  # A folder of results keeps the command that made it.
     module = importlib.import_module(f"hitl_jax.commands.{_COMMANDS[name][0]}")

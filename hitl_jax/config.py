@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from hitl_jax.human import DANGER_MODELS, MAX_DELAY, HumanParams, validate_human_params
-from hitl_jax.indicator import INDICATORS
-from hitl_jax.learners import LEARNERS, Learner
-from hitl_jax.products import MATMUL_PRECISIONS
+from hitl_jax.human.indicator import INDICATORS
+from hitl_jax.human.judgement import DANGER_MODELS, MAX_DELAY, HumanParams, validate_human_params
+from hitl_jax.learner.algorithms import LEARNERS, Learner
+from hitl_jax.xla.dense_product import MATMUL_PRECISIONS
 
 BOUNDARY_SOURCES = ("network", "residual", "rule", "quantile", "pid")
 INTERVENTIONS = ("reset", "takeover", "penalty")

@@ -7,7 +7,7 @@ import tempfile
 
 import pytest
 
-from hitl_jax.flags import have_loops_in_one_kernel
+from hitl_jax.xla.loop_flag import have_loops_in_one_kernel
 
 # The devices that learn on a machine of two cores, whatever this one has.
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
@@ -46,10 +46,10 @@ def compiled_fully():
     """For what depends on how numbers are rounded, as the size of a batch may; see above."""
     import jax
 
-    from hitl_jax import batch
+    from hitl_jax.training import compiled_batch
 
     def begin(hastily):
-        batch.make_programs.cache_clear()
+        compiled_batch.make_programs.cache_clear()
         jax.clear_caches()
         jax.config.update("jax_disable_most_optimizations", hastily)
 

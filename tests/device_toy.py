@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import pytest
 from flax import struct
 
-from hitl_jax import device_chunk
 from hitl_jax.envs import Command, StepBatch, jax_pool
+from hitl_jax.training import device_ticks
 
 NEVER = 200
 
@@ -49,5 +49,5 @@ def toys(broken_from=NEVER):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jax_pool, "_waiting", _waiting)
         patch.setattr(jax_pool, "tick", jax.jit(tick))
-        patch.setattr(device_chunk, "tick", tick)
+        patch.setattr(device_ticks, "tick", tick)
         yield

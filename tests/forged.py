@@ -5,7 +5,7 @@ import pathlib
 from collections.abc import Callable
 from typing import Any
 
-from hitl_jax.documents import to_json
+from hitl_jax.results.json_documents import to_json
 
 
 def rewrite(path: pathlib.Path, change: Callable[[dict[str, Any]], Any]) -> None:

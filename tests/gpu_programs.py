@@ -18,11 +18,11 @@ import jax
 import jax.numpy as jnp
 from jax.experimental import topologies
 
-from hitl_jax import batch, device_stage
-from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig
-from hitl_jax.device_chunk import Moment
 from hitl_jax.envs import jax_pool
+from hitl_jax.team.agent import make_agent
+from hitl_jax.training import compiled_batch, device_stage
+from hitl_jax.training.device_ticks import Moment
 from hitl_jax.walker import gpu
 
 _RUNS, _LANES, _TICKS = 1002, 1008, 16
@@ -79,8 +79,8 @@ def _programs(device):
     seeds = of((_LANES,), jnp.uint32)
     step = of((_LANES,), jnp.int32), of((_LANES, 4)), seeds
     agent = make_agent(AgentConfig())
-    acting = batch.empty_acting(agent, _RUNS, jax.devices("cpu")[0])
-    programs = batch.make_programs(agent, 1, 1)
+    acting = compiled_batch.empty_acting(agent, _RUNS, jax.devices("cpu")[0])
+    programs = compiled_batch.make_programs(agent, 1, 1)
     packed = jax.eval_shape(lambda a: programs.pack_behavior(a).rows, _train(agent))
     behavior = like(jax.eval_shape(programs.unpack_behavior, [packed]))
     begin = Moment(
@@ -102,7 +102,9 @@ def _programs(device):
 
 def _train(agent):
     """Training states, packed."""
-    words = jax.eval_shape(lambda: batch.empty_seats(agent, 2, 64, jax.devices("cpu")[0]).train)
+    words = jax.eval_shape(
+        lambda: compiled_batch.empty_seats(agent, 2, 64, jax.devices("cpu")[0]).train
+    )
     return jax.ShapeDtypeStruct((_RUNS, *words.shape[1:]), words.dtype)
 
 

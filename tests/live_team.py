@@ -10,13 +10,13 @@ import urllib.request
 import numpy as np
 from websockets.sync.client import connect
 
-from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.live import journal, person
-from hitl_jax.live.conductor import Conductor, Manners
+from hitl_jax.live.pacing import Conductor, Manners
 from hitl_jax.live.server import Live
 from hitl_jax.live.setup import Setup
-from hitl_jax.runs import LoopConfig
+from hitl_jax.team.agent import make_agent
+from hitl_jax.training.run_spec import LoopConfig
 
 TOKEN = "a-token"
 

@@ -1,7 +1,7 @@
 """One small team for all tests that train, so that they share its compiled programs."""
 
 from hitl_jax.config import AgentConfig
-from hitl_jax.runs import LoopConfig
+from hitl_jax.training.run_spec import LoopConfig
 
 AGENT = AgentConfig(learner="td3", hidden_sizes=(16,), batch_size=16)
 LOOP = LoopConfig(capacity=2000)

@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 from small import TEAM
 
-from hitl_jax.commands import ablation, training, under_way
-from hitl_jax.commands.ablations.settings import ABLATIONS, Ablation, Setting
-from hitl_jax.commands.ablations.store import Store, digest
-from hitl_jax.commands.ablations.table import Line, to_markdown
-from hitl_jax.commands.changes import changed
-from hitl_jax.commands.cli import run_main
-from hitl_jax.commands.progress import Progress
-from hitl_jax.commands.signals import Interrupted
+from hitl_jax.commands import ablation
 from hitl_jax.config import Hyper, Method, hyper_for
-from hitl_jax.files import ResultsError, locked
-from hitl_jax.runs import Divergence, FinishedRun, Run, RunSpec
+from hitl_jax.console.cli import run_main
+from hitl_jax.console.progress import Progress
+from hitl_jax.errors import ResultsError
+from hitl_jax.results.atomic_files import locked
+from hitl_jax.studies.ablations.settings import ABLATIONS, Ablation, Setting
+from hitl_jax.studies.ablations.store import Store, digest
+from hitl_jax.studies.ablations.table import Line, to_markdown
+from hitl_jax.studies.changes import changed
+from hitl_jax.sweep import autosave, train_and_test
+from hitl_jax.sweep.signals import Interrupted
+from hitl_jax.training.run_spec import Divergence, FinishedRun, Run, RunSpec
 
 _SMALL = TEAM | {"warmup_steps": 40}
 _TINY = Ablation(
@@ -103,11 +105,11 @@ def test_what_is_under_way_when_it_is_stopped_goes_on(made, tmp_path, capsys, mo
     _add_tiny(monkeypatch)
     with monkeypatch.context() as patch:
         patch.setattr(Progress, "show", _stop_at(5))
-        patch.setattr(under_way, "git_commit", lambda: "a" * 40)
+        patch.setattr(autosave, "git_commit", lambda: "a" * 40)
         assert _run(tmp_path, "tiny") == 130
     assert "Stopped" in capsys.readouterr().out
     assert _lines(tmp_path) == []
-    monkeypatch.setattr(under_way, "git_commit", lambda: "b" * 40)
+    monkeypatch.setattr(autosave, "git_commit", lambda: "b" * 40)
     assert _run(tmp_path, "tiny") == 0
     assert "3 runs go on where they were saved" in capsys.readouterr().out
     assert not list(tmp_path.glob("under_way*"))
@@ -145,7 +147,7 @@ def test_a_run_that_diverged_is_marked():
     spec = RunSpec(Method.SRL, 0, hyper_for(Method.SRL, Hyper()), episodes=3)
     run = Run(spec, 0, diverged=Divergence("action", 70, 0))
     finished = FinishedRun(run, {}, np.zeros(()))
-    row = ablation._summary(training.Tested(finished, [], [], 1.0, "", {}, ""))
+    row = ablation._summary(train_and_test.Tested(finished, [], [], 1.0, "", {}, ""))
     assert (row["diverged"], row["episodes"], row["final_return_100"]) == (1, 3, -100.0)
     text = to_markdown("Title", "", [Line("tiny", "srl", [row])], np.random.default_rng(0))
     assert "| tiny | srl | 1 (1 diverged) |" in text

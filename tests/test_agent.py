@@ -6,11 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitl_jax import acting, replay
-from hitl_jax import agent as agents
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.products import MATMUL_PRECISIONS
+from hitl_jax.learner import replay
+from hitl_jax.team import acting
+from hitl_jax.team import agent as agents
 from hitl_jax.types import Transition
+from hitl_jax.xla.dense_product import MATMUL_PRECISIONS
 
 
 @functools.cache

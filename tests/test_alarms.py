@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from hitl_jax.alarms import count_alarms, total
-from hitl_jax.commands import alarm_figure
+from hitl_jax.analysis import alarm_figures
+from hitl_jax.analysis.alarms import count_alarms, total
 from hitl_jax.commands import alarms as command
-from hitl_jax.commands.cli import run_main
-from hitl_jax.files import ResultsError
-from hitl_jax.results import ResultsFolder
+from hitl_jax.console.cli import run_main
+from hitl_jax.errors import ResultsError
+from hitl_jax.results.folder import ResultsFolder
 
 _TAUS = np.array([0.0, 0.5, 2.0])
 
@@ -47,9 +47,9 @@ def test_the_folder_must_hold_runs(tmp_path, capsys):
 def test_a_damaged_table_is_one_line(tmp_path):
     folder = ResultsFolder(tmp_path / "out")
     folder.create_or_resume({"agent": {}}, "command")
-    (folder.path / alarm_figure.DATA).write_text("method,seed\nsrl,0\n")
+    (folder.path / alarm_figures.DATA).write_text("method,seed\nsrl,0\n")
     with pytest.raises(ResultsError, match=r"alarms.csv: damaged: the header is not method,seed"):
-        alarm_figure.draw(folder)
+        alarm_figures.draw(folder)
 
 
 def test_what_is_not_known_is_not_counted():

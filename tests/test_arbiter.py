@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitl_jax import arbiter
+from hitl_jax.team import arbiter
 
 
 def _play(intervention, alarms, dangers, keeps=None, takeover_steps=3):

@@ -11,15 +11,15 @@ import pytest
 from test_results import CONFIG, KEY, make_episodes, make_info, make_params, make_tests
 from test_saves import _run as make_saved
 
-from hitl_jax import files
-from hitl_jax.commands.cli import BadInput, checking_input, parse
-from hitl_jax.commands.options import SweepOptions
-from hitl_jax.files import ResultsError
-from hitl_jax.recording import Recording
-from hitl_jax.results import ResultsFolder
-from hitl_jax.run_key import RunKey
-from hitl_jax.saves import Saves
-from hitl_jax.summary import write_summary
+from hitl_jax.analysis.summary import write_summary
+from hitl_jax.console.cli import checking_input, parse
+from hitl_jax.errors import BadInput, ResultsError
+from hitl_jax.results import atomic_files
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.recorded_episodes import Recording
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.sweep.options import SweepOptions
+from hitl_jax.training.saved_run_store import Saves
 
 _CAPACITY = 8
 _OTHER = RunKey("srl", 0)
@@ -81,8 +81,8 @@ def _save(folder, key):
     steps[:, -4:] = steps[:, -4:] > 0
     recorded = {"best": Recording(2, steps)}
     episodes = make_episodes() | {"length": np.full(4, len(steps))}
-    files = episodes, make_tests(), make_params(), make_info()
-    folder.save_run(key, *files, recordings=recorded)
+    atomic_files = episodes, make_tests(), make_params(), make_info()
+    folder.save_run(key, *atomic_files, recordings=recorded)
 
 
 # ---------------------------------------------------------------------------------- a full disk
@@ -106,7 +106,7 @@ def _session(folder):
 
 
 def test_a_full_disk_costs_nothing_that_is_there(tmp_path, monkeypatch):
-    write, left = files._write_synced, 10**6
+    write, left = atomic_files._write_synced, 10**6
 
     def full(descriptor, data):
         nonlocal left
@@ -116,7 +116,7 @@ def test_a_full_disk_costs_nothing_that_is_there(tmp_path, monkeypatch):
             raise OSError(errno.ENOSPC, "No space left on device")
         write(descriptor, data)
 
-    monkeypatch.setattr(files, "_write_synced", full)
+    monkeypatch.setattr(atomic_files, "_write_synced", full)
     _session(ResultsFolder(tmp_path / "whole"))
     writes = 10**6 - left
     assert writes > 15

@@ -7,9 +7,8 @@ import numpy as np
 import official as theirs
 import pytest
 
-from hitl_jax import bipedal
 from hitl_jax.envs import HARDCORE_WALKER, OUR_WALKERS
-from hitl_jax.walker import parts
+from hitl_jax.walker import bipedal, constants
 
 _NAMES = (
     *("FPS", "SCALE", "VIEWPORT_W", "VIEWPORT_H", "MOTORS_TORQUE", "SPEED_HIP", "SPEED_KNEE"),
@@ -33,7 +32,7 @@ def test_the_numbers_are_gymnasiums():
         (bipedal.LEG_FRICTION, module.LOWER_FD),
     ):
         assert np.float32(ours) == fixture.friction
-    corners = (parts.HULL_CORNERS, *parts.LEG_CORNERS[:2])
+    corners = (constants.HULL_CORNERS, *constants.LEG_CORNERS[:2])
     for ours, fixture in zip(
         corners, (module.HULL_FD, module.LEG_FD, module.LOWER_FD), strict=True
     ):
@@ -81,7 +80,8 @@ def test_random_numbers_are_seeded_as_gymnasium_seeds_them(seed):
 
 
 @pytest.mark.parametrize(
-    "module", ["hitl_jax", "hitl_jax.bipedal", "hitl_jax.envs", "hitl_jax.walker", "hitl_jax.live"]
+    "module",
+    ["hitl_jax", "hitl_jax.walker.bipedal", "hitl_jax.envs", "hitl_jax.walker", "hitl_jax.live"],
 )
 def test_neither_gymnasium_nor_box2d_is_imported(module):
     code = (

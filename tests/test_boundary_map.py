@@ -7,15 +7,15 @@ import jax
 import numpy as np
 import pytest
 
-from hitl_jax import agent as agents
-from hitl_jax import checkpoint
 from hitl_jax.commands import boundary_map
-from hitl_jax.commands.cli import run_main
-from hitl_jax.commands.trained import agent_of, load_trained
 from hitl_jax.config import AgentConfig, Hyper
-from hitl_jax.results import ResultsFolder
-from hitl_jax.run_key import RunKey
-from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
+from hitl_jax.console.cli import run_main
+from hitl_jax.playback.load_trained import agent_of, load_trained
+from hitl_jax.results.episode_tables import EPISODE_COLUMNS, TEST_COLUMNS
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.team import agent as agents
+from hitl_jax.team import checkpoint
 
 _KEY = RunKey("hitl-ac", 0)
 

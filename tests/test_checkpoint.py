@@ -3,10 +3,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitl_jax import agent as agents
-from hitl_jax import checkpoint
 from hitl_jax.config import AgentConfig
-from hitl_jax.networks import Actor
+from hitl_jax.learner.networks import Actor
+from hitl_jax.team import agent as agents
+from hitl_jax.team import checkpoint
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import re
 import pytest
 
 from hitl_jax.config import AgentConfig, Hyper, Method, RunHyper, hyper_for, validate_hyper
-from hitl_jax.learners import LEARNERS
+from hitl_jax.learner.algorithms import LEARNERS
 
 
 @pytest.mark.parametrize(

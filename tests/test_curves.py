@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from hitl_jax import stats
-from hitl_jax.curves import MAX_POINTS, over_episodes, over_seeds, over_steps
+from hitl_jax.analysis import stats
+from hitl_jax.analysis.curves import MAX_POINTS, over_episodes, over_seeds, over_steps
 
 
 def rng() -> np.random.Generator:

@@ -5,12 +5,14 @@ import jax
 import numpy as np
 import pytest
 
-from hitl_jax import agent as agents
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.device_evaluation import DeviceEvaluator, num_walkers
 from hitl_jax.envs.jax_pool import JaxPool
-from hitl_jax.evaluation import Evaluator, evaluate_runs, make_examiner
-from hitl_jax.runs import FinishedRun, Run, RunSpec, Snapshot
+from hitl_jax.evaluation.device import DeviceEvaluator, num_walkers
+from hitl_jax.evaluation.examiners import make_examiner
+from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.trials import evaluate_runs
+from hitl_jax.team import agent as agents
+from hitl_jax.training.run_spec import FinishedRun, Run, RunSpec, Snapshot
 
 pytestmark = pytest.mark.usefixtures("compiled_fully")
 

@@ -7,12 +7,12 @@ import jax
 import numpy as np
 import pytest
 
-from hitl_jax import device_stage, rollout, stages
-from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs import jax_pool
-from hitl_jax.rollout import Rollout
-from hitl_jax.runs import LoopConfig, RunSpec
+from hitl_jax.team.agent import make_agent
+from hitl_jax.training import device_stage, host_stage, rollout
+from hitl_jax.training.rollout import Rollout
+from hitl_jax.training.run_spec import LoopConfig, RunSpec
 from hitl_jax.walker import gpu
 
 _CONFIG = AgentConfig(learner="td3", hidden_sizes=(16,), batch_size=16)
@@ -62,7 +62,7 @@ def together():
 
 
 def test_device_and_host_play_the_same(together, monkeypatch):
-    monkeypatch.setattr(rollout, "make_stage", stages.HostStage)
+    monkeypatch.setattr(rollout, "make_stage", host_stage.HostStage)
     by_host, _ = _play(_specs(), 4)
     for key, run in together.items():
         _assert_same(run, by_host[key])
@@ -102,7 +102,7 @@ def test_parameters_that_are_no_numbers_end_a_run_where_the_host_ends_it(togethe
     sick = specs[2].hyper.replace(actor_learning_rate=1e30, critic_learning_rate=1e30)
     specs[2] = dataclasses.replace(specs[2], hyper=sick)
     on_device, _ = _play(specs, 4)
-    monkeypatch.setattr(rollout, "make_stage", stages.HostStage)
+    monkeypatch.setattr(rollout, "make_stage", host_stage.HostStage)
     by_host, _ = _play(specs, 4)
     assert on_device[specs[2].key].run.diverged.quantity == "parameters"
     for key, run in on_device.items():
@@ -176,7 +176,7 @@ def test_a_reward_that_is_no_number_ends_its_run_alone(monkeypatch):
     on_device, _ = _play(specs, 4, broken_from=12)
     ended = {run.run.diverged.quantity for run in on_device.values() if run.run.diverged}
     assert "reward" in ended
-    monkeypatch.setattr(rollout, "make_stage", stages.HostStage)
+    monkeypatch.setattr(rollout, "make_stage", host_stage.HostStage)
     by_host, _ = _play(specs, 4, broken_from=12)
     for key, run in on_device.items():
         assert run.run.diverged == by_host[key].run.diverged

@@ -8,7 +8,7 @@ import jax
 import pytest
 from jaxlib import xla_client
 
-from hitl_jax import devices
+from hitl_jax.xla import devices
 
 _SCRIPT = """
 import os, pathlib

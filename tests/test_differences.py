@@ -5,18 +5,19 @@ import pytest
 from test_results import CONFIG, KEY, make_episodes, make_info, make_params, make_tests
 from test_saves import _run as make_saved
 
-from hitl_jax import differences
-from hitl_jax.commands import plays, under_way
-from hitl_jax.commands.launchers import local
-from hitl_jax.commands.training import Batch, Plant
-from hitl_jax.commands.under_way import UnderWay
 from hitl_jax.config import Hyper, Method, hyper_for
-from hitl_jax.provenance import origin
-from hitl_jax.results import ResultsFolder
-from hitl_jax.run_key import RunKey
-from hitl_jax.runs import LoopConfig, RunSpec
-from hitl_jax.saved import CannotReturn
-from hitl_jax.saves import Saves
+from hitl_jax.playback import episodes
+from hitl_jax.results import config_diff
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.provenance import origin
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.sweep import autosave
+from hitl_jax.sweep.autosave import UnderWay
+from hitl_jax.sweep.launchers import local
+from hitl_jax.sweep.train_and_test import Batch, Plant
+from hitl_jax.training.run_spec import LoopConfig, RunSpec
+from hitl_jax.training.saved_run import CannotReturn
+from hitl_jax.training.saved_run_store import Saves
 
 _NOW = {
     "commit": "c" * 40,
@@ -40,7 +41,7 @@ _NOW = {
     ],
 )
 def test_only_what_differs_is_told(made, told):
-    found = differences.changes(made, _NOW)
+    found = config_diff.changes(made, _NOW)
     assert len(found) == len(told)
     for line, begins in zip(found, told, strict=True):
         assert line.startswith(begins)
@@ -48,12 +49,12 @@ def test_only_what_differs_is_told(made, told):
 
 def test_versions_of_several_sittings_are_all_kept():
     first, second = {"jax": "0.10.2", "numpy": "2.4"}, {"jax": "0.12.0", "numpy": "2.4"}
-    assert differences.joined({}, first) == first
-    both = differences.joined(first, second)
+    assert config_diff.joined({}, first) == first
+    both = config_diff.joined(first, second)
     assert both == {"jax": "0.10.2, then 0.12.0", "numpy": "2.4"}
-    assert differences.joined(both, second) == both
-    assert differences.joined(both, first)["jax"] == "0.10.2, then 0.12.0, then 0.10.2"
-    assert differences.joined({"brax": "0.14"}, {"jax": "0.12"}) == {
+    assert config_diff.joined(both, second) == both
+    assert config_diff.joined(both, first)["jax"] == "0.10.2, then 0.12.0, then 0.10.2"
+    assert config_diff.joined({"brax": "0.14"}, {"jax": "0.12"}) == {
         "brax": "0.14, then none",
         "jax": "none, then 0.12",
     }
@@ -75,7 +76,7 @@ def test_runs_of_other_versions_are_told_before_they_are_played(name, tmp_path, 
     keys = [KEY, RunKey("srl", 0)]
     for key in keys:
         folder.save_run(key, make_episodes(), make_tests(), make_params(), make_info(**made))
-    plays.tell_differences(folder, keys)
+    episodes.tell_differences(folder, keys)
     said = capsys.readouterr().out
     assert said.startswith(f"{tmp_path} was made with {told}: numbers can differ")
     assert said.count("\n") == said.count("was made with") == 1
@@ -90,7 +91,7 @@ def test_a_run_keeps_the_versions_of_all_its_sittings(tmp_path, monkeypatch):
             return [make_saved(self.ticks, 4, KEY)]
 
     for ticks, version in ((4, "0.10.2"), (8, "0.12.0")):
-        monkeypatch.setattr(under_way, "versions", lambda now=version: {"jax": now})
+        monkeypatch.setattr(autosave, "versions", lambda now=version: {"jax": now})
         saves = UnderWay(tmp_path, 8, seconds=0.0)
         saves.take({KEY}, (), print)
         saves.watch(Stopped(ticks))

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 
-from hitl_jax.episodes import ALARM_WINDOW, Episode, row_of
+from hitl_jax.results.episode_measures import ALARM_WINDOW, Episode, row_of
 
 
 def _episode(length, **changes):

@@ -3,10 +3,11 @@ import numpy as np
 import pytest
 from toy import ToyPool
 
-from hitl_jax import agent as agents
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.evaluation import Evaluator, evaluate_runs
-from hitl_jax.runs import FinishedRun, Run, RunSpec, Snapshot
+from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.trials import evaluate_runs
+from hitl_jax.team import agent as agents
+from hitl_jax.training.run_spec import FinishedRun, Run, RunSpec, Snapshot
 
 _SEEDS = np.arange(5, dtype=np.uint32)
 

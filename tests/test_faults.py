@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from test_results import CONFIG, KEY, save
 
-from hitl_jax.commands.cli import run_main
 from hitl_jax.commands.faults import _differences, main
-from hitl_jax.results import ResultsFolder
-from hitl_jax.run_key import RunKey
+from hitl_jax.console.cli import run_main
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.run_key import RunKey
 
 
 @pytest.fixture

@@ -12,17 +12,18 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from hitl_jax import figures, files, stats
-from hitl_jax.commands import ablation, alarm_figure, seed_sweep
+from hitl_jax.analysis import alarm_figures, figures, stats
+from hitl_jax.analysis.figures import draw_all
+from hitl_jax.benchmarks import scaling
+from hitl_jax.commands import ablation, seed_sweep
 from hitl_jax.commands import figures as command
-from hitl_jax.commands.ablations.store import _MEASURES, Store
-from hitl_jax.commands.benchmarks import scaling
-from hitl_jax.commands.cli import run_main
-from hitl_jax.figures import draw_all
-from hitl_jax.files import ResultsError
-from hitl_jax.results import ResultsFolder
-from hitl_jax.run_key import RunKey
-from hitl_jax.tables import EPISODE_COLUMNS, METHODS, PROGRESS_COLUMNS, TEST_COLUMNS
+from hitl_jax.console.cli import run_main
+from hitl_jax.errors import ResultsError
+from hitl_jax.results import atomic_files
+from hitl_jax.results.episode_tables import EPISODE_COLUMNS, METHODS, PROGRESS_COLUMNS, TEST_COLUMNS
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.studies.ablations.store import _MEASURES, Store
 
 CONFIG = {
     "agent": {"indicator": "hull_angle", "boundary_source": "rule"},
@@ -343,7 +344,7 @@ def test_a_matplotlibrc_that_is_no_text_is_one_line(plain, tmp_path):
 @pytest.mark.parametrize(("backend", "after"), [("svg", "svg"), ("nonsense", None)])
 def test_the_users_backend_stays_theirs(backend, after):
     code = (
-        "import os\nfrom hitl_jax.figure_parts import import_matplotlib, panels, style\n"
+        "import os\nfrom hitl_jax.analysis.figure_style import import_matplotlib, panels, style\n"
         "with style(): panels(1, 1, (1.0, 1.0))\n"
         "print(import_matplotlib().get_backend(auto_select=False), os.environ['MPLBACKEND'])"
     )
@@ -414,7 +415,7 @@ def test_a_full_disk_is_the_folders_error(plain, monkeypatch):
     def full(descriptor, data):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(files, "_write_synced", full)
+    monkeypatch.setattr(atomic_files, "_write_synced", full)
     with pytest.raises(ResultsError, match=r"figure4_training\.png: No space left on device"):
         draw_all(plain, rng())
 
@@ -435,7 +436,7 @@ def test_the_other_drawings_cost_nothing_either(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(scaling, "_draw", _fails)
     scaling.draw_scaling([], str(tmp_path / "scaling.svg"))
     assert "scaling.svg: could not be drawn: " in capsys.readouterr().out
-    monkeypatch.setattr(alarm_figure, "_figure", _fails)
-    (tmp_path / alarm_figure.DATA).write_text(",".join(alarm_figure.COLUMNS) + "\n")
-    [told] = alarm_figure.draw(ResultsFolder(tmp_path)).failures
+    monkeypatch.setattr(alarm_figures, "_figure", _fails)
+    (tmp_path / alarm_figures.DATA).write_text(",".join(alarm_figures.COLUMNS) + "\n")
+    [told] = alarm_figures.draw(ResultsFolder(tmp_path)).failures
     assert told == "figure8_alarms: could not be drawn: RuntimeError: there is no font"

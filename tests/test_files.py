@@ -9,7 +9,8 @@ import sys
 
 import pytest
 
-from hitl_jax.files import ResultsError, locked
+from hitl_jax.errors import ResultsError
+from hitl_jax.results.atomic_files import locked
 
 
 def test_a_folder_has_one_writer(tmp_path):
@@ -25,7 +26,7 @@ def test_a_folder_has_one_writer(tmp_path):
 
 def test_a_lock_ends_with_its_process(tmp_path):
     program = (
-        "import os, pathlib, signal\nfrom hitl_jax.files import locked\n"
+        "import os, pathlib, signal\nfrom hitl_jax.results.atomic_files import locked\n"
         f"with locked(pathlib.Path({str(tmp_path)!r})):\n"
         "    os.kill(os.getpid(), signal.SIGKILL)\n"
     )

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hitl_jax import human
-from hitl_jax.fit_human import fit_human
+from hitl_jax.human.fit import fit_human
 
 
 def _judgements(signal, begins, tolerance, delay):

@@ -7,11 +7,10 @@ import numpy as np
 import official as theirs
 import pytest
 
-from hitl_jax import bipedal
-from hitl_jax.commands.agreements.states import copied
-from hitl_jax.devices import walker_devices
+from hitl_jax.agreement.states import copied
 from hitl_jax.envs import HARDCORE_WALKER, Command, jax_pool, make_pool
-from hitl_jax.walker import copying, parts, terrain
+from hitl_jax.walker import bipedal, constants, from_gymnasium, terrain
+from hitl_jax.xla.devices import walker_devices
 
 LANES = 16
 DRAWS = 12
@@ -42,7 +41,7 @@ class _Told:
 
 def test_terrain_from_equal_numbers_is_gymnasiums():
     rng = np.random.default_rng(0)
-    shape = (DRAWS, parts.TERRAIN_LENGTH)
+    shape = (DRAWS, constants.TERRAIN_LENGTH)
     drawn = (
         rng.uniform(-1, 1, shape).astype(np.float32) / np.float32(bipedal.SCALE),
         *(
@@ -58,17 +57,17 @@ def test_terrain_from_equal_numbers_is_gymnasiums():
         official.reset(seed=0)
         official._np_random = _Told(official, *(values[index] for values in drawn))
         official._generate_terrain(hardcore=True)
-        expected = copying.terrain_of(official)
+        expected = from_gymnasium.terrain_of(official)
         ours = jax.tree.map(lambda leaf, at=index: leaf[at], plan)
         np.testing.assert_allclose(ours.heights, expected.heights, atol=2e-5)
         # Beyond the end of the ground gymnasium's boxes go on, and nobody gets there.
-        inside = slice(0, parts.NUM_EDGES)
+        inside = slice(0, constants.NUM_EDGES)
         for mine, other in zip(
             jax.tree.leaves(ours.boxes), jax.tree.leaves(expected.boxes), strict=True
         ):
             np.testing.assert_allclose(mine[inside], other[inside], atol=2e-5)
         boxes = np.stack([ours.boxes.low.x, ours.boxes.high.x, ours.boxes.low.y, ours.boxes.high.y])
-        sizes = np.rint((boxes[1::2] - boxes[::2]) / parts.TERRAIN_STEP)
+        sizes = np.rint((boxes[1::2] - boxes[::2]) / constants.TERRAIN_STEP)
         kinds |= {tuple(size) for size in sizes.T}
     # None, two stumps, a pit's wall, a stair.
     assert kinds == {(0, 0), (1, 1), (2, 2), (1, 4), (4, 1)}

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hitl_jax import human
-from hitl_jax.human import HumanParams
+from hitl_jax.human.judgement import HumanParams
 
 KEY = jax.random.key(0)
 FALSE = jnp.zeros((), bool)

@@ -7,7 +7,8 @@ import numpy as np
 import official as theirs
 import pytest
 
-from hitl_jax import bipedal, human_actions
+from hitl_jax.human import actions as human_actions
+from hitl_jax.walker import bipedal
 
 KEY = jax.random.key(0)
 WALKER = human_actions.scripted_walker()

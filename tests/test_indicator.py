@@ -5,7 +5,7 @@ import numpy as np
 import official as theirs
 import pytest
 
-from hitl_jax import indicator
+from hitl_jax.human import indicator
 
 OBSERVATION = jnp.zeros(24).at[0].set(-0.3).at[1].set(0.08)
 

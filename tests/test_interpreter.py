@@ -9,7 +9,7 @@ import pytest
 import small
 
 import hitl_jax
-from hitl_jax.interpreter import child_interpreter
+from hitl_jax.envs.interpreter import child_interpreter
 
 _NAMES = ("random", "numpy", "types", "jax", "matplotlib", "gymnasium", "hitl_jax", "experiments")
 _CHECKOUT = str(pathlib.Path(hitl_jax.__file__).parents[1])

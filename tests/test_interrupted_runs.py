@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from toy import ToyPool
 
-from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs import Command
-from hitl_jax.human import HumanParams
-from hitl_jax.rollout import Rollout
-from hitl_jax.runs import LoopConfig, RunSpec, episode_seed
-from hitl_jax.saved import CannotReturn, bring_back
-from hitl_jax.saves import Saves
-from hitl_jax.tables import EPISODE_COLUMNS, to_columns
+from hitl_jax.human.judgement import HumanParams
+from hitl_jax.results.episode_tables import EPISODE_COLUMNS, to_columns
+from hitl_jax.team.agent import make_agent
+from hitl_jax.training.rollout import Rollout
+from hitl_jax.training.run_spec import LoopConfig, RunSpec, episode_seed
+from hitl_jax.training.saved_run import CannotReturn, bring_back
+from hitl_jax.training.saved_run_store import Saves
 
 _CONFIG = AgentConfig(learner="td3", hidden_sizes=(16, 16), batch_size=16, n_step=2)
 _HYPER = Hyper(warmup_steps=64, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)

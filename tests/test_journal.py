@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from live_team import play, setup_of, stored
 
-from hitl_jax.files import ResultsError
-from hitl_jax.live import commands, journal
+from hitl_jax.errors import ResultsError
+from hitl_jax.live import journal, messages
 from hitl_jax.live.labels import judged
 from hitl_jax.live.session import Session
-from hitl_jax.runs import LoopConfig
+from hitl_jax.training.run_spec import LoopConfig
 
 
 def _act_upon(noted, session, upto, rng, share=0.2):
@@ -29,7 +29,7 @@ def _act_upon(noted, session, upto, rng, share=0.2):
             7: {"type": "pause", "on": True},
         }
         if lottery < share:
-            noted.said(session, commands.parse(json.dumps(said[int(rng.integers(8))])))
+            noted.said(session, messages.parse(json.dumps(said[int(rng.integers(8))])))
         elif lottery < share + 0.005:
             noted.said(session, {"type": "gone", "frame": seen - 1})
         session.tick()

@@ -11,26 +11,17 @@ import ptx_machine
 import pytest
 
 from hitl_jax.envs import Command, make_pool
-from hitl_jax.walker import (
-    gpu,
-    grips,
-    ground,
-    hinges,
-    impact,
-    parts,
-    terrain,
-    touch,
-    world,
-)
-from hitl_jax.walker.boxes import Boxes, Near
+from hitl_jax.walker import constants, gpu, terrain
+from hitl_jax.walker.batching.masked_subset import where_needed
+from hitl_jax.walker.geometry import Speeds, Vec, pose
 from hitl_jax.walker.gpu import kernel, sincos
 from hitl_jax.walker.gpu.four_threads import sincos as other_sincos
 from hitl_jax.walker.gpu.four_threads import solver as four_threads
 from hitl_jax.walker.gpu.four_threads.thread import NeighbourThread
 from hitl_jax.walker.gpu.jaxpr_to_ptx import Thread
-from hitl_jax.walker.plane import Speeds, Vec, pose
-from hitl_jax.walker.rarely import where_needed
-from hitl_jax.walker.sweep import Sweep
+from hitl_jax.walker.physics import contact_solver, ground, impacts, joints, manifolds, world
+from hitl_jax.walker.physics.boxes import Boxes, Near
+from hitl_jax.walker.physics.time_of_impact import Sweep
 from hitl_jax.walker.terrain import Terrain
 
 _WALKERS = 3
@@ -67,18 +58,18 @@ def _prepared(before, heights):
     bodies = pose(before.place, before.angle)
     legs = world.legs_of(bodies)
     near = ground.near_parts(Terrain(heights), world.legs_left(legs))
-    manifold = touch.forward(near.touch(legs))
-    contacts = touch.remember(before.contacts, manifold)
-    speed = jnp.asarray(parts.SPEEDS[:, None], jnp.float32) * jnp.ones((4, _WALKERS))
-    hinge = hinges.prepare(bodies, before.angle, speed, parts.TORQUE * jnp.ones_like(speed))
-    return near, manifold, contacts, hinge, grips.prepare(manifold, legs)
+    manifold = manifolds.forward(near.touch(legs))
+    contacts = manifolds.remember(before.contacts, manifold)
+    speed = jnp.asarray(constants.SPEEDS[:, None], jnp.float32) * jnp.ones((4, _WALKERS))
+    hinge = joints.prepare(bodies, before.angle, speed, constants.TORQUE * jnp.ones_like(speed))
+    return near, manifold, contacts, hinge, contact_solver.prepare(manifold, legs)
 
 
 def _written(function, parts, args):
     """The text of a kernel for a GPU, of the version in use."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gpu, "on_gpu", lambda: True)
-        return kernel.written(function, parts, args)
+        return kernel.written(function, constants, args)
 
 
 def _emulated(function, parts=(), block_size=None):
@@ -90,9 +81,9 @@ def _emulated(function, parts=(), block_size=None):
             lambda leaf: np.broadcast_to(leaf, (*np.shape(leaf)[:-1], batch)).copy(), args
         )
         # Not the same object: JAX would give what it has traced for a CPU.
-        text, told = _written(lambda *args: function(*args), parts, args)
+        text, told = _written(lambda *args: function(*args), constants, args)
         results = [np.zeros(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(told)]
-        threads = batch * math.prod(parts)
+        threads = batch * math.prod(constants)
         ptx_machine.run(text, threads, [*jax.tree.leaves(args), *results], block_size)
         return jax.tree.unflatten(jax.tree.structure(told), results)
 
@@ -101,7 +92,7 @@ def _emulated(function, parts=(), block_size=None):
 
 def _agree(function, args, parts=(), block_size=None):
     """The text does what the function does on a CPU."""
-    _are_close(_emulated(function, parts, block_size)(*args), jax.jit(function)(*args))
+    _are_close(_emulated(function, constants, block_size)(*args), jax.jit(function)(*args))
 
 
 def _are_close(got, expected):
@@ -136,7 +127,7 @@ def test_velocity_rounds_with_contacts_of_all_parts(now, version):
     matrices = jax.tree.map(
         lambda leaf: np.broadcast_to(leaf[:1, 1:2], leaf.shape), (grip.matrix, grip.inverse)
     )
-    grip = grips.Grips(grip.weight, points, *matrices)
+    grip = contact_solver.Grips(grip.weight, points, *matrices)
     _is_as_on_a_cpu(world._velocities, (before, hinge, grip, contacts))
 
 
@@ -186,16 +177,16 @@ def test_impacts_have_a_thread_for_each_part(now, version, hardcore):
         near = _on_stairs(near, Vec(before.place.x, before.place.y - 0.03))
     start = Vec(before.place.x[1:], before.place.y[1:])
     end = Vec(start.x + 0.02, start.y - 0.1)
-    moved = impact.Moved(
+    moved = impacts.Moved(
         sweep=Sweep(start, before.angle[1:], end, before.angle[1:] + 0.1),
         done=jnp.zeros((4, _WALKERS)),
         speeds=Speeds(Vec(jnp.ones((4, _WALKERS)), -5 * jnp.ones((4, _WALKERS))), before.spin[1:]),
         contacts=contacts,
         feet=before.feet,
     )
-    assert (jax.jit(impact.land)(moved, near).done > 0).any()
+    assert (jax.jit(impacts.land)(moved, near).done > 0).any()
     needed = jnp.arange(4 * _WALKERS).reshape(4, _WALKERS) % 2 == 0
-    work = functools.partial(where_needed, impact.land)
+    work = functools.partial(where_needed, impacts.land)
     _agree(work, (needed, moved, near), parts=(4,))
 
 
@@ -207,7 +198,7 @@ def test_terrain(version):
 
 def test_hardcore_terrain(version):
     rng = np.random.default_rng(0)
-    shape = (parts.TERRAIN_LENGTH, _WALKERS)
+    shape = (constants.TERRAIN_LENGTH, _WALKERS)
     ends = ((5, 10), (1, 4), (1, 3), (3, 5))
     integers = [rng.integers(*each, shape).astype(np.int32) for each in ends]
     pushes = rng.uniform(-0.03, 0.03, shape).astype(np.float32)
@@ -224,8 +215,8 @@ def test_sine_and_cosine_are_as_good_as_float32(module):
 
 @pytest.mark.parametrize("parts", [(), (1,), (4,), (2, 2)])
 def test_threads_beyond_the_batch_do_nothing(version, parts):
-    shape = (*parts, 3)
-    text, _ = _written(lambda a: a + 1, parts, (np.zeros(shape, np.float32),))
+    shape = (*constants, 3)
+    text, _ = _written(lambda a: a + 1, constants, (np.zeros(shape, np.float32),))
     given = np.arange(math.prod(shape), dtype=np.float32)
     told = np.zeros(given.size + 2, np.float32)
     ptx_machine.run(text, given.size + 2, [given, told])
@@ -278,13 +269,13 @@ def test_threads_of_a_walker_go_round_together(neighbours):
 )
 def test_threads_that_may_not_come_to_an_exchange_are_refused(neighbours, function, parts):
     with pytest.raises(NotImplementedError, match="flipped, or in a branch"):
-        _written(function, parts, (np.zeros((*parts, 3), np.float32),))
+        _written(function, constants, (np.zeros((*constants, 3), np.float32),))
 
 
 @pytest.mark.parametrize(("axis", "parts"), [(-3, (2, 2)), (-2, (2, 2)), (-2, (4,)), (-1, ())])
 def test_one_thread_a_walker_is_told_nothing(axis, parts):
     with pytest.raises(NotImplementedError, match="flipped in a kernel"):
-        _written(lambda a: jnp.flip(a, axis), parts, (np.zeros((*parts, 3), np.float32),))
+        _written(lambda a: jnp.flip(a, axis), constants, (np.zeros((*constants, 3), np.float32),))
 
 
 @pytest.mark.parametrize(
@@ -292,8 +283,8 @@ def test_one_thread_a_walker_is_told_nothing(axis, parts):
     [(1002, 1, 132, 1), (4008, 4, 132, 4), (16_384, 4, 132, 16), (10**6, 4, 132, 32), (8, 4, 1, 4)],
 )
 def test_blocks_are_small_while_a_gpu_has_room(threads, parts, cores, block):
-    assert NeighbourThread.block_size(threads, parts, cores) == block
-    assert Thread.block_size(threads, parts, cores) == 32
+    assert NeighbourThread.block_size(threads, constants, cores) == block
+    assert Thread.block_size(threads, constants, cores) == 32
 
 
 def test_on_a_cpu_a_function_stays_itself():

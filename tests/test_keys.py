@@ -5,7 +5,7 @@ import jax
 import numpy as np
 import pytest
 
-from hitl_jax.keys import make_key, wrap_key
+from hitl_jax.xla.threefry import make_key, wrap_key
 
 _DRAW = """
 import jax

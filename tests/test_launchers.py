@@ -5,15 +5,15 @@ import asyncio
 import numpy as np
 import pytest
 
-from hitl_jax.commands import shards, training
-from hitl_jax.commands.cli import LaunchError
-from hitl_jax.commands.launchers.cluster import Places, divided, places_of
-from hitl_jax.commands.launchers.machine import Inbox
-from hitl_jax.commands.shards import Shard
-from hitl_jax.commands.training import Batch, Plant
 from hitl_jax.config import Hyper, Method, hyper_for
-from hitl_jax.run_key import RunKey
-from hitl_jax.runs import FinishedRun, LoopConfig, Run, RunSpec
+from hitl_jax.errors import LaunchError
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.sweep import shards, train_and_test
+from hitl_jax.sweep.launchers.cluster import Places, divided, places_of
+from hitl_jax.sweep.launchers.machine import Inbox
+from hitl_jax.sweep.shards import Shard
+from hitl_jax.sweep.train_and_test import Batch, Plant
+from hitl_jax.training.run_spec import FinishedRun, LoopConfig, Run, RunSpec
 
 
 def _machine(cpus, gpus=0, alive=True):
@@ -45,7 +45,7 @@ def test_a_group_takes_a_machine(machines, places):
 def test_a_run_that_is_made_twice_comes_once():
     def tested(key):
         run = Run(RunSpec(Method.SRL, key.seed, hyper_for(Method.SRL, Hyper()), 1), 0)
-        return training.Tested(FinishedRun(run, {}, np.zeros(())), [], [], 1.0, "", {}, "")
+        return train_and_test.Tested(FinishedRun(run, {}, np.zeros(())), [], [], 1.0, "", {}, "")
 
     async def attempts():
         inbox, keys = Inbox(), [RunKey("srl", 0), RunKey("srl", 1)]
@@ -57,7 +57,7 @@ def test_a_run_that_is_made_twice_comes_once():
         assert (first.attempt, first.keys) == (1, keys)
         assert (again.attempt, again.keys) == (2, keys[1:])
         messages = await inbox.take(1.0)
-        assert [one.key for one in messages if isinstance(one, training.Tested)] == keys
+        assert [one.key for one in messages if isinstance(one, train_and_test.Tested)] == keys
         assert await inbox.take(0.0) == []
 
     asyncio.run(attempts())

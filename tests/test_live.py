@@ -16,14 +16,14 @@ import pytest
 import small
 from websockets.sync.client import connect
 
-from hitl_jax import checkpoint
-from hitl_jax.agent import make_agent
 from hitl_jax.commands import live, recorded
-from hitl_jax.commands.cli import run_main
-from hitl_jax.commands.judgements import load
 from hitl_jax.config import AgentConfig
-from hitl_jax.files import ResultsError
+from hitl_jax.console.cli import run_main
+from hitl_jax.errors import ResultsError
 from hitl_jax.live import journal
+from hitl_jax.sweep.recorded_human import load
+from hitl_jax.team import checkpoint
+from hitl_jax.team.agent import make_agent
 
 _OPTIONS = (
     *("--no-open-page", "--port", "0", "--warmup-steps", "64", "--initial-boundary", "0.1"),

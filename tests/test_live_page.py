@@ -7,7 +7,7 @@ import time
 import pytest
 from live_team import HYPER, Served, setup_of
 
-from hitl_jax.evaluation import frozen
+from hitl_jax.evaluation.trials import frozen
 from hitl_jax.live.session import Session
 
 playwright = pytest.importorskip(

@@ -12,9 +12,9 @@ from live_team import TOKEN, Served, setup_of
 from starlette.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 
-from hitl_jax.files import ResultsError
+from hitl_jax.errors import ResultsError
 from hitl_jax.live import journal, server
-from hitl_jax.live.conductor import Conductor, Manners
+from hitl_jax.live.pacing import Conductor, Manners
 from hitl_jax.live.server import LONGEST_MESSAGE, Live, Outbox, Rate
 from hitl_jax.live.session import Session
 

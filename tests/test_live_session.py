@@ -8,13 +8,13 @@ import pytest
 from live_team import HYPER, play, setup_of, stored
 
 from hitl_jax import boundary
-from hitl_jax.agent import make_agent
 from hitl_jax.envs import WalkerError
-from hitl_jax.live import commands, person
+from hitl_jax.envs.visible_walker import Plant
+from hitl_jax.live import messages, person
 from hitl_jax.live.labels import Label, judged, moved
-from hitl_jax.live.plant import Plant
 from hitl_jax.live.session import Session
-from hitl_jax.runs import episode_seed
+from hitl_jax.team.agent import make_agent
+from hitl_jax.training.run_spec import episode_seed
 
 
 @pytest.fixture(scope="module")
@@ -276,7 +276,7 @@ def test_labels_cover_their_frames():
 )
 def test_messages_that_mean_nothing_are_refused_in_one_line(text):
     with pytest.raises(ValueError, match=r"^[^\n]+$"):
-        commands.parse(text)
+        messages.parse(text)
 
 
 def test_a_session_begins_with_networks_that_were_learned(silent):

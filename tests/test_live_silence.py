@@ -10,15 +10,15 @@ import pytest
 from live_team import HYPER, Served, play, setup_of, stored
 
 from hitl_jax.commands import recorded
-from hitl_jax.evaluation import frozen
-from hitl_jax.live import commands, conductor, journal
+from hitl_jax.evaluation.trials import frozen
+from hitl_jax.live import journal, messages, pacing
 from hitl_jax.live.attention import Attention
-from hitl_jax.live.conductor import Conductor, Manners
 from hitl_jax.live.labels import Label, judged, unjudged
+from hitl_jax.live.pacing import Conductor, Manners
 from hitl_jax.live.session import Session
 
 _LIMIT = 1.0
-_FRAME = 1 / conductor.RATE
+_FRAME = 1 / pacing.RATE
 
 
 class _Selector(selectors.DefaultSelector):
@@ -47,7 +47,7 @@ class _Page:
         """Says something, unless its process stands still."""
         if not self.dead:
             said = fields if frame is None else {**fields, "frame": frame}
-            self.conductor.say(commands.parse(json.dumps({"type": kind, **said})))
+            self.conductor.say(messages.parse(json.dumps({"type": kind, **said})))
 
     def last(self, kind):
         return next(m for m in reversed(self.told) if m["type"] == kind)
@@ -100,7 +100,7 @@ def live(tmp_path, monkeypatch):
             await happens(one)
             playing.cancel()
 
-        monkeypatch.setattr(conductor, "_clock", lambda: selector.now)
+        monkeypatch.setattr(pacing, "_clock", lambda: selector.now)
         with asyncio.Runner(loop_factory=begin) as runner:
             runner.run(play_it())
         noted.close()
@@ -542,7 +542,7 @@ def test_a_silence_longer_than_the_replay_is_nobodys_whole():
 
 def test_no_page_can_say_that_somebody_is_gone():
     with pytest.raises(ValueError, match="its type must be one of"):
-        commands.parse('{"type": "gone", "frame": 3}')
+        messages.parse('{"type": "gone", "frame": 3}')
 
 
 def _recorded(tmp_path, until, gone):

@@ -6,7 +6,7 @@ import pytest
 from absl.testing import absltest, parameterized
 from jax.test_util import check_grads
 
-from hitl_jax import losses
+from hitl_jax.learner import losses
 from hitl_jax.types import Transition
 
 

@@ -15,9 +15,9 @@ import small
 from forged import rewrite
 
 from hitl_jax.commands import merge, seed_sweep
-from hitl_jax.commands.cli import run_main
 from hitl_jax.commands.seed_sweep import main
-from hitl_jax.results import ResultsFolder
+from hitl_jax.console.cli import run_main
+from hitl_jax.results.folder import ResultsFolder
 
 # A cluster begins by a fork, in which nothing of JAX's is used.
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork", "ignore::ResourceWarning")

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitl_jax import networks
+from hitl_jax.learner import networks
 
 _KEY = jax.random.key(0)
 

@@ -10,16 +10,20 @@ import pytest
 from test_device_stage import _CONFIG, _HYPER, _LOOP
 from toy import ToyPool
 
-from hitl_jax import agent as agents
-from hitl_jax import arbiter, boundary, losses, replay, rollout, stages
+from hitl_jax import boundary
 from hitl_jax.config import Method, hyper_for
-from hitl_jax.device_evaluation import DeviceEvaluator
 from hitl_jax.envs import Command
 from hitl_jax.envs.jax_pool import JaxPool
-from hitl_jax.episodes import NOT_FINITE, num_lost
-from hitl_jax.evaluation import Evaluator, evaluate_runs
-from hitl_jax.rollout import Rollout
-from hitl_jax.runs import FinishedRun, Run, RunSpec
+from hitl_jax.evaluation.device import DeviceEvaluator
+from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.trials import evaluate_runs
+from hitl_jax.learner import losses, replay
+from hitl_jax.results.episode_measures import NOT_FINITE, num_lost
+from hitl_jax.team import agent as agents
+from hitl_jax.team import arbiter
+from hitl_jax.training import host_stage, rollout
+from hitl_jax.training.rollout import Rollout
+from hitl_jax.training.run_spec import FinishedRun, Run, RunSpec
 from hitl_jax.types import BoundaryTransition
 
 _BAD = [jnp.nan, jnp.inf, -jnp.inf]
@@ -210,7 +214,7 @@ def test_the_device_ends_a_run_where_the_host_does(field, at, monkeypatch):
 
     on_device = play()
     assert {lost.quantity for lost, _ in on_device if lost} == {field}
-    monkeypatch.setattr(rollout, "make_stage", stages.HostStage)
+    monkeypatch.setattr(rollout, "make_stage", host_stage.HostStage)
     assert play() == on_device
 
 

@@ -3,12 +3,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitl_jax import batch
-from hitl_jax.acting import init_acting
-from hitl_jax.agent import make_agent
 from hitl_jax.config import AgentConfig, RunHyper, typed
-from hitl_jax.keys import make_key
-from hitl_jax.packing import from_pieces, pack, piece_sizes, to_pieces, unpack
+from hitl_jax.team.acting import init_acting
+from hitl_jax.team.agent import make_agent
+from hitl_jax.training import compiled_batch
+from hitl_jax.xla.pytree_words import from_pieces, pack, piece_sizes, to_pieces, unpack
+from hitl_jax.xla.threefry import make_key
 
 
 def _bits(tree):
@@ -79,8 +79,8 @@ def test_acting_and_hyperparameters_of_every_choice_can_be_packed():
 
 def test_the_boundary_of_every_run_is_read_back():
     agent = make_agent(AgentConfig())
-    programs = batch.make_programs(agent, 2, 1)
-    acting = batch.empty_acting(agent, 3, jax.devices()[0])
+    programs = compiled_batch.make_programs(agent, 2, 1)
+    acting = compiled_batch.empty_acting(agent, 3, jax.devices()[0])
     hyper = typed(RunHyper(initial_boundary=0.25))
     acting = programs.seat_acting(acting, 1, hyper, make_key(0))
     default = RunHyper().initial_boundary

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from hitl_jax.products import MATMUL_PRECISIONS, product
+from hitl_jax.xla.dense_product import MATMUL_PRECISIONS, product
 
 # The forms are for what XLA makes of products when it optimises.
 pytestmark = pytest.mark.usefixtures("compiled_fully")

@@ -1,7 +1,7 @@
 """Where there is no terminal: lines that come soon, and then now and then."""
 
-from hitl_jax.commands import progress
-from hitl_jax.commands.progress import Progress
+from hitl_jax.console import progress
+from hitl_jax.console.progress import Progress
 
 
 def test_lines_come_soon_and_then_every_half_minute(capsys, monkeypatch):

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitl_jax import replay
+from hitl_jax.learner import replay
 
 _LAYOUT = replay.Layout(observation_size=1, action_size=1)
 _RUNS = 2

@@ -7,15 +7,20 @@ import shutil
 import numpy as np
 import pytest
 
+from hitl_jax.analysis.claims import HOLDS, HOLDS_NOT, UNDECIDED, Results, judge
+from hitl_jax.analysis.figure_style import Drawn
+from hitl_jax.analysis.summary import skill_over_training
 from hitl_jax.commands import report
-from hitl_jax.commands.cli import run_main
-from hitl_jax.commands.reports.claims import HOLDS, HOLDS_NOT, UNDECIDED, Results, judge
-from hitl_jax.commands.reports.starts import judge_starts
-from hitl_jax.figure_parts import Drawn
-from hitl_jax.results import Run
-from hitl_jax.run_key import RunKey
-from hitl_jax.summary import skill_over_training
-from hitl_jax.tables import EPISODE_COLUMNS, PROGRESS_COLUMNS, TEST_COLUMNS, to_table
+from hitl_jax.console.cli import run_main
+from hitl_jax.results.episode_tables import (
+    EPISODE_COLUMNS,
+    PROGRESS_COLUMNS,
+    TEST_COLUMNS,
+    to_table,
+)
+from hitl_jax.results.folder import Run
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.studies.ablations.starts import judge_starts
 
 _RESULTS = pathlib.Path(__file__).parents[1] / "results"
 

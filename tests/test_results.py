@@ -11,13 +11,15 @@ import pandas as pd
 import pytest
 from forged import as_of_format_1
 
-from hitl_jax import files, provenance, results
-from hitl_jax.differences import ConfigMismatch
-from hitl_jax.files import ResultsError, write_text_atomic
-from hitl_jax.recording import Recording
-from hitl_jax.results import ResultsFolder
-from hitl_jax.run_key import RunKey
-from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
+from hitl_jax.errors import ResultsError
+from hitl_jax.results import atomic_files, provenance
+from hitl_jax.results import folder as results
+from hitl_jax.results.atomic_files import write_text_atomic
+from hitl_jax.results.config_diff import ConfigMismatch
+from hitl_jax.results.episode_tables import EPISODE_COLUMNS, TEST_COLUMNS
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.recorded_episodes import Recording
+from hitl_jax.results.run_key import RunKey
 
 CONFIG = {
     "agent": {"learner": "td3", "matmul_precision": "float32", "hidden_sizes": (128, 128)},
@@ -146,7 +148,7 @@ def test_a_finished_run_is_not_overwritten(folder):
 @pytest.mark.parametrize("failing", ["test.csv", "run.json", "rename"])
 def test_a_failure_while_saving_leaves_nothing(folder, monkeypatch, failing):
     before = everything_below(folder.path)
-    real = files._write_synced
+    real = atomic_files._write_synced
 
     def write(descriptor, data):
         if failing in os.readlink(f"/proc/self/fd/{descriptor}"):
@@ -158,7 +160,7 @@ def test_a_failure_while_saving_leaves_nothing(folder, monkeypatch, failing):
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(files, "_write_synced", write)
+        patch.setattr(atomic_files, "_write_synced", write)
         if failing == "rename":
             patch.setattr(os, "rename", rename)
         with pytest.raises(ResultsError, match="seed-0003: No space left on device"):

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from toy import ToyPool
 
-from hitl_jax.agent import behavior, make_agent
-from hitl_jax.commands.benchmarks.timing import memory_mb
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.devices import learning_devices
+from hitl_jax.console.timing import memory_mb
 from hitl_jax.envs import Command
-from hitl_jax.evaluation import Evaluator, evaluate_runs
-from hitl_jax.rollout import Rollout
-from hitl_jax.runs import LoopConfig, RunSpec, episode_seed, num_slots
+from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.trials import evaluate_runs
+from hitl_jax.team.agent import behavior, make_agent
+from hitl_jax.training.rollout import Rollout
+from hitl_jax.training.run_spec import LoopConfig, RunSpec, episode_seed, num_slots
+from hitl_jax.xla.devices import learning_devices
 
 pytestmark = pytest.mark.usefixtures("compiled_fully")
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from test_results import make_episodes
 
-from hitl_jax import saves
-from hitl_jax.files import ResultsError
-from hitl_jax.provenance import short_commit
-from hitl_jax.run_key import RunKey
-from hitl_jax.saved import SavedRun
-from hitl_jax.saves import Saves
+from hitl_jax.errors import ResultsError
+from hitl_jax.results.provenance import short_commit
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.training import saved_run_store
+from hitl_jax.training.saved_run import SavedRun
+from hitl_jax.training.saved_run_store import Saves
 
 _CAPACITY = 8
 _KEY = RunKey("hitl-ac", 3)
@@ -41,9 +41,9 @@ def _run(ticks, new, key=_KEY):
 @pytest.fixture
 def folder(tmp_path):
     """Two saves: after 4 ticks, and after 8."""
-    saves = Saves(tmp_path / "saves", _CAPACITY)
+    saved_run_store = Saves(tmp_path / "saves", _CAPACITY)
     for ticks in (4, 8):
-        saves.write([_run(ticks, 4)])
+        saved_run_store.write([_run(ticks, 4)])
     return tmp_path / "saves"
 
 
@@ -61,11 +61,11 @@ def test_a_run_comes_back_as_it_was_saved(folder):
 
 
 def test_only_what_the_two_newest_saves_need_is_kept(tmp_path):
-    saves = Saves(tmp_path / "saves", _CAPACITY)
+    saved_run_store = Saves(tmp_path / "saves", _CAPACITY)
     other = RunKey("srl", 0)
     for number in range(1, 8):
         runs = [_run(4 * number, 4)] + ([_run(4 * number, 4, other)] if number < 4 else [])
-        saves.write(runs)
+        saved_run_store.write(runs)
         loaded, _ = Saves(tmp_path / "saves", _CAPACITY).load()
         expected = np.arange(max(4 * number - _CAPACITY, 0), 4 * number)
         assert loaded.keys() == ({_KEY, other} if number < 4 else {_KEY})
@@ -74,16 +74,16 @@ def test_only_what_the_two_newest_saves_need_is_kept(tmp_path):
     names = sorted(path.name for path in (tmp_path / "saves").iterdir())
     frames = [f"frames-00000{number}.npz" for number in (5, 6, 7)]
     assert names == [*frames, "state-000006.npz", "state-000007.npz"]
-    saves.remove()
+    saved_run_store.remove()
     assert not (tmp_path / "saves").exists()
-    saves.remove()
+    saved_run_store.remove()
 
 
 def test_a_run_that_waits_is_saved_again_as_it_is(folder):
-    saves = Saves(folder, _CAPACITY)
-    [run] = saves.load()[0].values()
+    saved_run_store = Saves(folder, _CAPACITY)
+    [run] = saved_run_store.load()[0].values()
     for _ in range(5):
-        saves.write([run.without_new_frames()])
+        saved_run_store.write([run.without_new_frames()])
     [again] = Saves(folder, _CAPACITY).load()[0].values()
     np.testing.assert_array_equal(again.frames, run.frames)
 
@@ -92,12 +92,12 @@ def test_a_run_that_waits_is_saved_again_as_it_is(folder):
 def test_a_damaged_save_gives_way_to_the_one_before(folder, cut):
     newest = folder / "state-000002.npz"
     newest.write_bytes(newest.read_bytes()[:cut])
-    saves = Saves(folder, _CAPACITY)
-    runs, [note] = saves.load()
+    saved_run_store = Saves(folder, _CAPACITY)
+    runs, [note] = saved_run_store.load()
     assert note.startswith(f"{newest}: damaged: ")
     assert "\n" not in note
     assert runs[_KEY].facts["ticks"] == 4
-    saves.write([_run(8, 4)])
+    saved_run_store.write([_run(8, 4)])
     assert Saves(folder, _CAPACITY).load()[0][_KEY].facts["ticks"] == 8
     # The damaged one has gone, the one before it has stayed.
     names = sorted(path.name for path in folder.glob("state-*"))
@@ -105,10 +105,11 @@ def test_a_damaged_save_gives_way_to_the_one_before(folder, cut):
 
 
 def test_a_save_of_another_version_is_refused_in_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(saves, "FORMAT", saves.FORMAT - 1)
+    monkeypatch.setattr(saved_run_store, "FORMAT", saved_run_store.FORMAT - 1)
     Saves(tmp_path, _CAPACITY).write([_run(4, 4)])
     monkeypatch.undo()
-    told = f"is of format {saves.FORMAT - 1}, another version's: must be {saves.FORMAT}"
+    known = saved_run_store.FORMAT
+    told = f"is of format {known - 1}, another version's: must be {known}"
     with pytest.raises(ResultsError, match=re.escape(told)):
         Saves(tmp_path, _CAPACITY).load()
 
@@ -116,12 +117,12 @@ def test_a_save_of_another_version_is_refused_in_one_line(tmp_path, monkeypatch)
 def test_a_save_of_another_version_names_what_made_it(tmp_path, monkeypatch):
     run = _run(4, 4)
     facts = run.facts | {"commits": ["abc"], "versions": {"jax": "0.4.1", "numpy": np.__version__}}
-    monkeypatch.setattr(saves, "FORMAT", saves.FORMAT - 1)
+    monkeypatch.setattr(saved_run_store, "FORMAT", saved_run_store.FORMAT - 1)
     Saves(tmp_path, _CAPACITY).write([run._replace(facts=facts)])
     monkeypatch.undo()
-    made = saves.origin()
+    made = saved_run_store.origin()
     now = f"now {short_commit(made['commit'])}; jax 0.4.1, now {made['versions']['jax']}"
-    told = f"another version's (commit abc, {now}): must be {saves.FORMAT}"
+    told = f"another version's (commit abc, {now}): must be {saved_run_store.FORMAT}"
     with pytest.raises(ResultsError, match=re.escape(told)) as caught:
         Saves(tmp_path, _CAPACITY).load()
     assert "numpy" not in str(caught.value)
@@ -160,11 +161,11 @@ def test_nothing_there_is_nothing_saved(tmp_path):
 
 
 def test_a_run_that_waits_does_not_keep_the_frames_of_others(tmp_path):
-    saves = Saves(tmp_path / "saves", _CAPACITY)
+    saved_run_store = Saves(tmp_path / "saves", _CAPACITY)
     waiting = _run(2, 2, RunKey("srl", 0))
-    saves.write([_run(4, 4), waiting])
+    saved_run_store.write([_run(4, 4), waiting])
     for ticks in range(8, 40, 4):
-        saves.write([_run(ticks, 4), waiting.without_new_frames()])
+        saved_run_store.write([_run(ticks, 4), waiting.without_new_frames()])
     # The first, for what waits; those that the two newest states need of the other.
     assert len(list((tmp_path / "saves").glob("frames-*"))) == 4
     runs, notes = Saves(tmp_path / "saves", _CAPACITY).load()

@@ -19,14 +19,14 @@ import small
 from forged import as_of_format_1, rewrite
 from PIL import Image
 
-from hitl_jax import provenance
 from hitl_jax.commands import alarms, replay, seed_sweep, verify
-from hitl_jax.commands.cli import run_main
 from hitl_jax.commands.seed_sweep import _Sweep, main
-from hitl_jax.evaluation import Evaluator
-from hitl_jax.results import ResultsFolder
-from hitl_jax.run_key import RunKey
-from hitl_jax.tables import select, table_to_csv
+from hitl_jax.console.cli import run_main
+from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.results import provenance
+from hitl_jax.results.episode_tables import select, table_to_csv
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.run_key import RunKey
 
 _SMALL = [
     *("--seeds", "1", "--episodes", "3", "--test-episodes", "2", "--warmup-steps", "100"),

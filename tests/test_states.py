@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from toy import ToyPool
 
-from hitl_jax import acting, human, human_actions, states
-from hitl_jax.agent import make_agent
+from hitl_jax import human
 from hitl_jax.config import AgentConfig, Hyper, Method, RunHyper, hyper_for
-from hitl_jax.keys import make_key
-from hitl_jax.packing import pack, unpack
-from hitl_jax.rollout import Rollout
-from hitl_jax.runs import LoopConfig, RunSpec
+from hitl_jax.human import actions, caller_state
+from hitl_jax.team import acting
+from hitl_jax.team.agent import make_agent
+from hitl_jax.training.rollout import Rollout
+from hitl_jax.training.run_spec import LoopConfig, RunSpec
+from hitl_jax.xla.pytree_words import pack, unpack
+from hitl_jax.xla.threefry import make_key
 
 _CONFIG = AgentConfig(learner="td3", hidden_sizes=(8,), batch_size=8)
 
@@ -63,22 +65,22 @@ def test_what_cannot_be_packed_is_named(dtype):
     ],
 )
 def test_a_state_begins_as_an_array(state, dtype):
-    array = states.begun("the human", state)
+    array = caller_state.begun("the human", state)
     assert array.dtype == jnp.dtype(dtype)
     assert not array.weak_type
-    assert states.begun("the human", {"a": (state, None)})["a"][1] is None
+    assert caller_state.begun("the human", {"a": (state, None)})["a"][1] is None
 
 
 def test_a_key_can_be_remembered():
     key = make_key(3)
-    assert states.begun("the human", key) is key
-    assert states.kept("the human", key, make_key(4)) is key
+    assert caller_state.begun("the human", key) is key
+    assert caller_state.kept("the human", key, make_key(4)) is key
 
 
 @pytest.mark.parametrize("state", ["calm", 1j, 2**40, np.int64(2**31), object(), -(2**40)])
 def test_what_cannot_be_remembered_is_named(state):
     with pytest.raises(ValueError, match=r"state of the human holds .*: must be arrays") as caught:
-        states.begun("the human", [state])
+        caller_state.begun("the human", [state])
     assert len(str(caught.value).splitlines()) == 1
 
 
@@ -97,7 +99,7 @@ def test_what_cannot_be_remembered_is_named(state):
 )
 def test_a_state_that_becomes_another_is_refused(before, after):
     with pytest.raises(ValueError, match="state of the human: ") as caught:
-        states.kept("the human", after, states.begun("the human", before))
+        caller_state.kept("the human", after, caller_state.begun("the human", before))
     assert len(str(caught.value).splitlines()) == 1
 
 
@@ -105,8 +107,8 @@ def test_a_state_that_becomes_another_is_refused(before, after):
     ("before", "after"), [(0.0, 1), (0, True), (np.int8(0), 5), (jnp.bfloat16(0), 0.5)]
 )
 def test_a_state_keeps_its_type(before, after):
-    begun = states.begun("the human", before)
-    kept = states.kept("the human", after, begun)
+    begun = caller_state.begun("the human", before)
+    kept = caller_state.kept("the human", after, begun)
     assert (kept.dtype, float(kept)) == (begun.dtype, float(after))
 
 
@@ -141,7 +143,7 @@ def _acted(start, step, steps=8):
 
 
 def _params(agent):
-    from hitl_jax import agent as agents
+    from hitl_jax.team import agent as agents
 
     return agents.behavior(agents.init(agent, make_key(0)))
 
@@ -180,7 +182,7 @@ def test_a_source_of_actions_may_count_in_plain_numbers():
     def act(state, observation, key):
         return state + 1, jnp.full(4, 0.25)
 
-    source = human_actions.ActionSource(lambda: 0, lambda state: 0, act)
+    source = actions.ActionSource(lambda: 0, lambda state: 0, act)
     agent = make_agent(_CONFIG, source=source)
     state = acting.init_acting(agent, RunHyper(), make_key(0))
     state, _ = acting.act(agent, RunHyper(), _params(agent), state, np.zeros(24, np.float32))

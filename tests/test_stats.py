@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hitl_jax.stats import (
+from hitl_jax.analysis.stats import (
     bootstrap_interval,
     first_passage,
     interquartile_mean,
@@ -68,7 +68,7 @@ def test_bootstrap_interval_has_the_width_of_theory():
 def test_bootstrap_interval_of_curves_is_that_of_each_point(monkeypatch):
     curves = rng().normal(size=(5, 7))
     # A small chunk, so that the loop runs more than once: 3 points of 100 × 5 draws.
-    monkeypatch.setattr("hitl_jax.stats._CHUNK_ELEMENTS", 3 * 100 * 5)
+    monkeypatch.setattr("hitl_jax.analysis.stats._CHUNK_ELEMENTS", 3 * 100 * 5)
     low, high = bootstrap_interval(curves, interquartile_mean, rng(), resamples=100)
     assert low.shape == high.shape == (7,)
     for t in range(7):

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.decisions import EXTRA_COLUMNS
 from hitl_jax.envs import StepBatch
-from hitl_jax.recording import Recording
-from hitl_jax.replay import Layout
-from hitl_jax.steps import (
+from hitl_jax.learner.replay import Layout
+from hitl_jax.results.recorded_episodes import Recording
+from hitl_jax.team.packed_decision import EXTRA_COLUMNS
+from hitl_jax.training.step_booking import (
     complete,
     episode_of,
     frames_of,

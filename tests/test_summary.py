@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hitl_jax.results import ResultsFolder
-from hitl_jax.run_key import RunKey
-from hitl_jax.summary import SUMMARY_COLUMNS, summarise, summarise_run, write_summary
-from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
+from hitl_jax.analysis.summary import SUMMARY_COLUMNS, summarise, summarise_run, write_summary
+from hitl_jax.results.episode_tables import EPISODE_COLUMNS, TEST_COLUMNS
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.run_key import RunKey
 
 INFO = {"config": {"a": 1}, "versions": {}, "commit": None, "env_steps": 1, "updates": 1}
 

@@ -17,21 +17,22 @@ from matplotlib.figure import Figure
 from test_figures import make_training
 
 import hitl_jax
-from hitl_jax import markdown
+from hitl_jax.analysis import markdown
+from hitl_jax.analysis.figure_style import literal, style
 from hitl_jax.commands import tuning
-from hitl_jax.commands.ablations import table
-from hitl_jax.commands.benchmarks.timing import print_rows
-from hitl_jax.commands.cli import BadInput, parse
-from hitl_jax.commands.options import SweepOptions
-from hitl_jax.commands.output import replace_what_cannot_be_encoded
-from hitl_jax.commands.progress import Progress
 from hitl_jax.config import AgentConfig, Hyper
-from hitl_jax.figure_parts import literal, style
-from hitl_jax.files import write_text_atomic
-from hitl_jax.results import ResultsFolder
-from hitl_jax.run_key import RunKey
-from hitl_jax.runs import LoopConfig
-from hitl_jax.tables import METHODS
+from hitl_jax.console.cli import parse
+from hitl_jax.console.output import replace_what_cannot_be_encoded
+from hitl_jax.console.progress import Progress
+from hitl_jax.console.timing import print_rows
+from hitl_jax.errors import BadInput
+from hitl_jax.results.atomic_files import write_text_atomic
+from hitl_jax.results.episode_tables import METHODS
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.studies.ablations import table
+from hitl_jax.sweep.options import SweepOptions
+from hitl_jax.training.run_spec import LoopConfig
 
 _NAMES = (
     *("runs/[lr=0.1] x", "runs/[/data]", "runs/[bold red]", "runs/:smile:", r"runs/\[x]"),

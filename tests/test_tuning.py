@@ -6,8 +6,8 @@ import pytest
 from small import TEAM
 
 from hitl_jax.commands import tuning
-from hitl_jax.commands.changes import changed
-from hitl_jax.commands.cli import run_main
+from hitl_jax.console.cli import run_main
+from hitl_jax.studies.changes import changed
 
 
 def _run(*args):

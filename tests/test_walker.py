@@ -8,17 +8,18 @@ import numpy as np
 import official as theirs
 import pytest
 
-from hitl_jax import bipedal, walker
-from hitl_jax.commands.agreements.returns import distance
-from hitl_jax.commands.agreements.states import copied
-from hitl_jax.devices import walker_devices
+from hitl_jax import walker
+from hitl_jax.agreement.returns import distance
+from hitl_jax.agreement.states import copied
 from hitl_jax.envs import Command, jax_pool, make_pool
-from hitl_jax.keys import make_key
-from hitl_jax.walker import parts, terrain, touch
-from hitl_jax.walker.flat import of_one
-from hitl_jax.walker.plane import Vec
-from hitl_jax.walker.rarely import rarely
+from hitl_jax.walker import bipedal, constants, terrain
+from hitl_jax.walker.batching.batch_last_vmap import of_one
+from hitl_jax.walker.batching.masked_subset import rarely
+from hitl_jax.walker.geometry import Vec
+from hitl_jax.walker.physics import manifolds
 from hitl_jax.walker.terrain import Terrain
+from hitl_jax.xla.devices import walker_devices
+from hitl_jax.xla.threefry import make_key
 
 pytestmark = pytest.mark.usefixtures("compiled_fully")
 
@@ -64,27 +65,29 @@ def test_bodies_are_gymnasiums(official):
     centres = np.array([tuple(body.localCenter) for body in bodies])
     masses = np.array([body.mass for body in bodies])
     inertias = np.array([body.inertia for body in bodies]) - masses * (centres**2).sum(1)
-    np.testing.assert_allclose(1 / parts.INVERSE_MASS, masses, rtol=1e-6)
-    np.testing.assert_allclose(1 / parts.INVERSE_INERTIA, inertias, rtol=1e-6)
-    np.testing.assert_allclose(parts.HULL_CENTRE, centres[0], atol=1e-7)
+    np.testing.assert_allclose(1 / constants.INVERSE_MASS, masses, rtol=1e-6)
+    np.testing.assert_allclose(1 / constants.INVERSE_INERTIA, inertias, rtol=1e-6)
+    np.testing.assert_allclose(constants.HULL_CENTRE, centres[0], atol=1e-7)
     np.testing.assert_array_equal(centres[1:], 0)
     ground_friction = official.fd_edge.friction
     for leg in official.legs:
-        assert np.sqrt(leg.fixtures[0].friction * ground_friction) == pytest.approx(parts.FRICTION)
+        assert np.sqrt(leg.fixtures[0].friction * ground_friction) == pytest.approx(
+            constants.FRICTION
+        )
 
 
 def test_hinges_are_gymnasiums(official):
     official.reset(seed=0)
     bodies = [official.hull, *official.legs]
     for index, joint in enumerate(official.joints):
-        first, second = parts.HINGES[index]
+        first, second = constants.HINGES[index]
         assert (joint.bodyA, joint.bodyB) == (bodies[first], bodies[second])
-        assert joint.lowerLimit == pytest.approx(parts.LOWER[index])
-        assert joint.upperLimit == pytest.approx(parts.UPPER[index])
-        bend = joint.bodyB.angle - joint.bodyA.angle - parts.REFERENCE[index]
+        assert joint.lowerLimit == pytest.approx(constants.LOWER[index])
+        assert joint.upperLimit == pytest.approx(constants.UPPER[index])
+        bend = joint.bodyB.angle - joint.bodyA.angle - constants.REFERENCE[index]
         assert joint.angle == pytest.approx(bend, abs=1e-6)
         anchors = ((joint.bodyA, joint.anchorA), (joint.bodyB, joint.anchorB))
-        for (body, anchor), local in zip(anchors, parts.ANCHORS[index], strict=True):
+        for (body, anchor), local in zip(anchors, constants.ANCHORS[index], strict=True):
             point = body.GetWorldPoint(body.localCenter + local.tolist())
             np.testing.assert_allclose(point, anchor, 1e-6)
 
@@ -145,7 +148,9 @@ def test_falls_end_it_when_gymnasiums_end(official):
 def test_ends():
     one = jax.tree.map(np.asarray, walker.made(make_key(0)))
     one = dataclasses.replace(one, steps=np.int32(0))
-    place = dataclasses.replace(one.world.place, x=one.world.place.x + np.float32(parts.GOAL - 4))
+    place = dataclasses.replace(
+        one.world.place, x=one.world.place.x + np.float32(constants.GOAL - 4)
+    )
     there = dataclasses.replace(one, world=dataclasses.replace(one.world, place=place))
     late = dataclasses.replace(one, steps=np.int32(1599))
     later = dataclasses.replace(one, steps=np.int32(1598))
@@ -248,7 +253,7 @@ def test_rarely_works_for_those_who_need_it(share):
     np.testing.assert_array_equal(done[1], np.tile(-1.0 * needed, (2, 1)))
 
 
-@pytest.mark.parametrize("slots", [touch.SLOTS, 2 * touch.SLOTS])
+@pytest.mark.parametrize("slots", [manifolds.SLOTS, 2 * manifolds.SLOTS])
 @pytest.mark.parametrize("leads", [False, True])
 def test_touching_slots_stand_first_in_their_order(slots, leads):
     num_parts, batch = 4, 50
@@ -256,12 +261,12 @@ def test_touching_slots_stand_first_in_their_order(slots, leads):
     # Each slot, part and walker has a number of its own; at most four slots touch.
     number = rng.permutation(slots * num_parts * batch).reshape(slots, num_parts, batch)
     order = rng.permuted(np.arange(slots)[:, None, None] + 0 * number, axis=0)
-    touching = order < rng.integers(0, touch.SLOTS + 1, (num_parts, batch))
+    touching = order < rng.integers(0, manifolds.SLOTS + 1, (num_parts, batch))
     leading = leads & (rng.uniform(size=touching.shape) < 0.5)
     real = jnp.asarray(number, jnp.float32)
     vec = Vec(real, -real)
     whole = jnp.asarray(number, jnp.int32)
-    manifold = touch.Manifold(
+    manifold = manifolds.Manifold(
         edge=whole,
         on_edge=whole % 2 == 0,
         normal=vec,
@@ -270,12 +275,12 @@ def test_touching_slots_stand_first_in_their_order(slots, leads):
         keys=(whole, -whole),
         valid=(jnp.asarray(touching), jnp.zeros(touching.shape, bool)),
     )
-    moved = touch.forward(manifold, jnp.asarray(leading))
+    moved = manifolds.forward(manifold, jnp.asarray(leading))
     for part in range(num_parts):
         for walker_ in range(batch):
             met, first = touching[:, part, walker_], leading[:, part, walker_]
             places = [*np.flatnonzero(met & first), *np.flatnonzero(met & ~first)]
-            places = [*places, *np.flatnonzero(~met)][: touch.SLOTS]
+            places = [*places, *np.flatnonzero(~met)][: manifolds.SLOTS]
             here = number[places, part, walker_]
             np.testing.assert_array_equal(moved.edge[:, part, walker_], here)
             np.testing.assert_array_equal(moved.keys[1][:, part, walker_], -here)
@@ -285,20 +290,20 @@ def test_touching_slots_stand_first_in_their_order(slots, leads):
 
 
 def test_impulses_go_with_their_edge_and_point_to_another_slot():
-    before = touch.no_contacts(1)
+    before = manifolds.no_contacts(1)
     edge = jnp.array([7, 8, 9, 10], jnp.int32)[:, None, None] + jnp.zeros_like(before.edge)
     keys = (jnp.zeros_like(edge) + 1, jnp.zeros_like(edge) + 2)
     there = jnp.ones(edge.shape, bool)
     normal = (edge.astype(jnp.float32), 10 * edge.astype(jnp.float32))
-    before = touch.Contacts(edge, keys, (there, there), normal, normal)
+    before = manifolds.Contacts(edge, keys, (there, there), normal, normal)
     now = jnp.array([9, 11, 7, 8], jnp.int32)[:, None, None] + jnp.zeros_like(edge)
     blank = Vec(*jnp.zeros((2, *edge.shape)))
     swapped, only_first = (keys[1], keys[0]), (there, ~there)
-    manifold = touch.Manifold(now, there, blank, blank, (blank, blank), swapped, only_first)
-    after = touch.remember(before, manifold)
+    manifold = manifolds.Manifold(now, there, blank, blank, (blank, blank), swapped, only_first)
+    after = manifolds.remember(before, manifold)
     expected = np.array([90.0, 0.0, 70.0, 80.0])
     for part in range(4):
         np.testing.assert_array_equal(after.normal[0][:, part, 0], expected)
         np.testing.assert_array_equal(after.along[1][:, part, 0], expected / 10)
-    stands = touch.feet_after(jnp.ones((4, 1), bool), before, after)
+    stands = manifolds.feet_after(jnp.ones((4, 1), bool), before, after)
     assert not stands.any()  # Of edges 10, which ended, and 11, which began, the left one counts.

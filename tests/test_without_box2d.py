@@ -13,8 +13,8 @@ import small
 from forged import of_config
 
 from hitl_jax.commands import seed_sweep
-from hitl_jax.commands.cli import run_main
-from hitl_jax.results import ResultsFolder
+from hitl_jax.console.cli import run_main
+from hitl_jax.results.folder import ResultsFolder
 
 _TESTS = pathlib.Path(__file__).parent
 _KEPT = _TESTS.parent / "results" / "ten_seeds"

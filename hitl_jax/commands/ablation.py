@@ -14,29 +14,30 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import tyro
 
-from hitl_jax import stats
-from hitl_jax.commands.ablations import figure
-from hitl_jax.commands.ablations.settings import ABLATIONS, Ablation, Setting
-from hitl_jax.commands.ablations.store import Row, RunId, Store, digest
-from hitl_jax.commands.ablations.table import Line, to_markdown
-from hitl_jax.commands.changes import Parts, changed
-from hitl_jax.commands.cli import BadInput, checking_input
-from hitl_jax.commands.compile_cache import keep_programs
-from hitl_jax.commands.launchers import LaunchOptions
-from hitl_jax.commands.progress import Progress
-from hitl_jax.commands.signals import Interrupted
-from hitl_jax.commands.training import Batch, Plant, Tested, make_team
-from hitl_jax.commands.under_way import SAVE_SECONDS
+from hitl_jax.analysis import stats
+from hitl_jax.analysis.figure_style import attempt, save
+from hitl_jax.analysis.summary import summarise_run
 from hitl_jax.config import Hyper, Method, hyper_for, require_seeds, require_whole
+from hitl_jax.console.cli import checking_input
+from hitl_jax.console.progress import Progress
 from hitl_jax.envs import require_backend
-from hitl_jax.evaluation import MOST_TEST_EPISODES
-from hitl_jax.figure_parts import attempt, save
-from hitl_jax.files import ResultsError, locked, write_text_atomic
-from hitl_jax.provenance import short_commit
-from hitl_jax.results import Run
-from hitl_jax.runs import RunSpec
-from hitl_jax.summary import summarise_run
-from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS, to_columns, to_table
+from hitl_jax.errors import BadInput, ResultsError
+from hitl_jax.evaluation.trials import MOST_TEST_EPISODES
+from hitl_jax.results.atomic_files import locked, write_text_atomic
+from hitl_jax.results.episode_tables import EPISODE_COLUMNS, TEST_COLUMNS, to_columns, to_table
+from hitl_jax.results.folder import Run
+from hitl_jax.results.provenance import short_commit
+from hitl_jax.studies.ablations import figure
+from hitl_jax.studies.ablations.settings import ABLATIONS, Ablation, Setting
+from hitl_jax.studies.ablations.store import Row, RunId, Store, digest
+from hitl_jax.studies.ablations.table import Line, to_markdown
+from hitl_jax.studies.changes import Parts, changed
+from hitl_jax.sweep.autosave import SAVE_SECONDS
+from hitl_jax.sweep.compile_cache import keep_programs
+from hitl_jax.sweep.launchers import LaunchOptions
+from hitl_jax.sweep.signals import Interrupted
+from hitl_jax.sweep.train_and_test import Batch, Plant, Tested, make_team
+from hitl_jax.training.run_spec import RunSpec
 
 _SLOTS = 32
 _BACKEND = "lean"

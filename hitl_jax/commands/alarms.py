@@ -17,20 +17,21 @@ import jax
 import numpy as np
 import tyro
 
-from hitl_jax.agent import Agent
-from hitl_jax.alarms import AlarmCounts, count_alarms, total
-from hitl_jax.commands import alarm_figure
-from hitl_jax.commands.cli import BadInput, checking_input, print_drawn
-from hitl_jax.commands.compile_cache import keep_programs
-from hitl_jax.commands.plays import playing_backend
-from hitl_jax.commands.trained import able_to_play, agent_of, load_trained
+from hitl_jax.analysis import alarm_figures
+from hitl_jax.analysis.alarms import AlarmCounts, count_alarms, total
 from hitl_jax.config import require
+from hitl_jax.console.cli import checking_input, print_drawn
 from hitl_jax.envs import make_pool
-from hitl_jax.evaluation import Evaluator, evaluate_policies
-from hitl_jax.files import ResultsError, write_text_atomic
-from hitl_jax.results import ResultsFolder
-from hitl_jax.run_key import RunKey
-from hitl_jax.runs import RunSpec, Snapshot
+from hitl_jax.errors import BadInput, ResultsError
+from hitl_jax.evaluation.host import Evaluator, evaluate_policies
+from hitl_jax.playback.episodes import playing_backend
+from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
+from hitl_jax.results.atomic_files import write_text_atomic
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.sweep.compile_cache import keep_programs
+from hitl_jax.team.agent import Agent
+from hitl_jax.training.run_spec import RunSpec, Snapshot
 
 NUM_BOUNDARIES = 61
 """From 0 to the greatest boundary that the runs could have."""
@@ -80,11 +81,11 @@ def main(options: AlarmOptions) -> int:
                 rows += _rows(key, boundaries, counts)
                 print(f"{number}/{len(keys)} {key}: {counts.falls} falls", flush=True)
         text = io.StringIO()
-        writer = csv.DictWriter(text, alarm_figure.COLUMNS, lineterminator="\n")
+        writer = csv.DictWriter(text, alarm_figures.COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-        write_text_atomic(options.results / alarm_figure.DATA, text.getvalue())
-        drawn = alarm_figure.draw(folder)
+        write_text_atomic(options.results / alarm_figures.DATA, text.getvalue())
+        drawn = alarm_figures.draw(folder)
     except ResultsError as error:
         raise BadInput(str(error)) from error
     return print_drawn(drawn)

@@ -11,20 +11,22 @@ import pathlib
 from collections.abc import Callable
 from typing import Any
 
-from hitl_jax.commands.benchmarks.launchers import measure_launchers
-from hitl_jax.commands.benchmarks.learner import measure_learner
-from hitl_jax.commands.benchmarks.live import measure_live
-from hitl_jax.commands.benchmarks.loop import measure_loop
-from hitl_jax.commands.benchmarks.peers import measure_peers
-from hitl_jax.commands.benchmarks.pool import measure_pool
-from hitl_jax.commands.benchmarks.saves import measure_saves
-from hitl_jax.commands.benchmarks.scaling import draw_scaling, measure_scaling
-from hitl_jax.commands.benchmarks.timing import Row, print_rows
-from hitl_jax.commands.benchmarks.walkers import measure_walkers
-from hitl_jax.commands.cli import BadInput, checking_input
-from hitl_jax.envs import box2d, num_cores
-from hitl_jax.files import write_text_atomic
-from hitl_jax.provenance import versions
+from hitl_jax.benchmarks.launchers import measure_launchers
+from hitl_jax.benchmarks.learner import measure_learner
+from hitl_jax.benchmarks.live import measure_live
+from hitl_jax.benchmarks.loop import measure_loop
+from hitl_jax.benchmarks.peers import measure_peers
+from hitl_jax.benchmarks.pool import measure_pool
+from hitl_jax.benchmarks.saves import measure_saves
+from hitl_jax.benchmarks.scaling import draw_scaling, measure_scaling
+from hitl_jax.benchmarks.walkers import measure_walkers
+from hitl_jax.console.cli import checking_input
+from hitl_jax.console.timing import Row, print_rows
+from hitl_jax.envs import box2d
+from hitl_jax.errors import BadInput
+from hitl_jax.results.atomic_files import write_text_atomic
+from hitl_jax.results.provenance import versions
+from hitl_jax.xla.cores import num_cores
 
 _ON_GYMNASIUM = ("pool", "peers")
 _ON_BOX2D = ("loop", "scaling", "saves", "live")

@@ -12,20 +12,21 @@ import pathlib
 import numpy as np
 import tyro
 
-from hitl_jax.agent import Agent
-from hitl_jax.commands.cli import BadInput, checking_input, print_drawn
-from hitl_jax.commands.compile_cache import keep_programs
-from hitl_jax.commands.plays import playing_backend
-from hitl_jax.commands.trained import able_to_play, agent_of, load_trained
+from hitl_jax.analysis.figure_style import COLUMN, GREY, Drawn, attempt, panels, save
+from hitl_jax.analysis.figures import boundary_label, tolerance_in
 from hitl_jax.config import Method, require
+from hitl_jax.console.cli import checking_input, print_drawn
 from hitl_jax.envs import make_pool
-from hitl_jax.evaluation import Evaluator, evaluate_policies
-from hitl_jax.figure_parts import COLUMN, GREY, Drawn, attempt, panels, save
-from hitl_jax.figures import boundary_label, tolerance_in
-from hitl_jax.files import ResultsError, named_errors, read_bytes, write_text_atomic
-from hitl_jax.results import ResultsFolder
-from hitl_jax.run_key import RunKey
-from hitl_jax.tables import numbers_from_csv
+from hitl_jax.errors import BadInput, ResultsError
+from hitl_jax.evaluation.host import Evaluator, evaluate_policies
+from hitl_jax.playback.episodes import playing_backend
+from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
+from hitl_jax.results.atomic_files import named_errors, read_bytes, write_text_atomic
+from hitl_jax.results.episode_tables import numbers_from_csv
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.sweep.compile_cache import keep_programs
+from hitl_jax.team.agent import Agent
 
 DATA = "boundary_map.csv"
 """In a results folder."""

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from hitl_jax.commands.cli import BadInput
-from hitl_jax.commands.compile_cache import keep_programs
 from hitl_jax.config import MOST_SEED, require_whole
+from hitl_jax.errors import BadInput
+from hitl_jax.sweep.compile_cache import keep_programs
 from hitl_jax.walker.brax_env import BipedalWalker
 from hitl_jax.walker.env import MOST_STEPS
 

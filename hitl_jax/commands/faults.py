@@ -17,12 +17,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hitl_jax.commands.cli import BadInput, checking_input
-from hitl_jax.commands.disturbances import Site, disturb, make_another
 from hitl_jax.config import require, require_whole
+from hitl_jax.console.cli import checking_input
 from hitl_jax.envs import require_backend
-from hitl_jax.interpreter import child_interpreter
-from hitl_jax.results import ResultsFolder
+from hitl_jax.envs.interpreter import child_interpreter
+from hitl_jax.errors import BadInput
+from hitl_jax.faults.disturbances import Site, disturb, make_another
+from hitl_jax.results.folder import ResultsFolder
 
 _SWEEP = (
     *("--seeds", "1", "--episodes", "150", "--test-episodes", "4", "--learner", "td3"),

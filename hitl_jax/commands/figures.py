@@ -6,11 +6,11 @@ import pathlib
 import numpy as np
 import tyro
 
-from hitl_jax import stats
-from hitl_jax.commands.cli import BadInput, print_drawn
-from hitl_jax.figures import draw_all
-from hitl_jax.files import ResultsError
-from hitl_jax.results import ResultsFolder
+from hitl_jax.analysis import stats
+from hitl_jax.analysis.figures import draw_all
+from hitl_jax.console.cli import print_drawn
+from hitl_jax.errors import BadInput, ResultsError
+from hitl_jax.results.folder import ResultsFolder
 
 
 @dataclasses.dataclass(frozen=True)

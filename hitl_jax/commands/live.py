@@ -15,14 +15,6 @@ from typing import Annotated, Any
 
 import tyro
 
-from hitl_jax import checkpoint, human_actions
-from hitl_jax.agent import Agent, make_agent
-from hitl_jax.archives import to_npz
-from hitl_jax.commands.cli import BadInput, checking_input
-from hitl_jax.commands.compile_cache import keep_programs
-from hitl_jax.commands.options import require_room, require_team
-from hitl_jax.commands.signals import Interrupted, deferred_interrupts
-from hitl_jax.commands.training import policy_digest
 from hitl_jax.config import (
     AgentConfig,
     Hyper,
@@ -33,17 +25,27 @@ from hitl_jax.config import (
     require,
     validate_hyper,
 )
-from hitl_jax.differences import changes, completed
+from hitl_jax.console.cli import checking_input
 from hitl_jax.envs import box2d
-from hitl_jax.evaluation import frozen
-from hitl_jax.files import ResultsError, write_bytes_atomic
+from hitl_jax.errors import BadInput, ResultsError
+from hitl_jax.evaluation.trials import frozen
+from hitl_jax.human import actions
+from hitl_jax.learner.networks import Actor
 from hitl_jax.live import journal, person
-from hitl_jax.live.conductor import Conductor, Manners
+from hitl_jax.live.pacing import Conductor, Manners
 from hitl_jax.live.session import Session
 from hitl_jax.live.setup import Setup
-from hitl_jax.networks import Actor
-from hitl_jax.provenance import origin
-from hitl_jax.runs import LoopConfig
+from hitl_jax.results.atomic_files import write_bytes_atomic
+from hitl_jax.results.config_diff import changes, completed
+from hitl_jax.results.npz_archives import to_npz
+from hitl_jax.results.provenance import origin
+from hitl_jax.sweep.compile_cache import keep_programs
+from hitl_jax.sweep.options import require_room, require_team
+from hitl_jax.sweep.signals import Interrupted, deferred_interrupts
+from hitl_jax.sweep.train_and_test import policy_digest
+from hitl_jax.team import checkpoint
+from hitl_jax.team.agent import Agent, make_agent
+from hitl_jax.training.run_spec import LoopConfig
 
 MODES = ("train", "test", "watch")
 _HOST = "127.0.0.1"
@@ -155,7 +157,7 @@ def setup_of(options: LiveOptions) -> Setup:
             options.human_policy, config.observation_size, config.action_size
         )
         *hidden, size = checkpoint.hidden_sizes(actor)
-        assistant = human_actions.policy(Actor(tuple(hidden), size).apply, actor)
+        assistant = actions.policy(Actor(tuple(hidden), size).apply, actor)
     hyper = hyper_for(Method(options.method), options.hyper)
     if options.mode == "test":
         hyper = frozen(hyper, human_present=True)

@@ -16,13 +16,14 @@ from collections.abc import Sequence
 import numpy as np
 import tyro
 
-from hitl_jax.commands import judgements
-from hitl_jax.commands.cli import BadInput, checking_input
 from hitl_jax.commands.seed_sweep import draw
-from hitl_jax.commands.shards import Shard
-from hitl_jax.differences import require_same
-from hitl_jax.files import ResultsError, locked
-from hitl_jax.results import ResultsFolder
+from hitl_jax.console.cli import checking_input
+from hitl_jax.errors import BadInput, ResultsError
+from hitl_jax.results.atomic_files import locked
+from hitl_jax.results.config_diff import require_same
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.sweep import recorded_human
+from hitl_jax.sweep.shards import Shard
 
 _NAMED = 5
 
@@ -64,7 +65,7 @@ def main(options: MergeOptions) -> int:
             out.create_or_resume(config, command)
         except ResultsError as error:
             raise BadInput(str(error)) from error
-        judgements.keep(out.path, dangerous)
+        recorded_human.keep(out.path, dangerous)
         there = out.finished()
         for folder, shard in zip(folders, shards, strict=True):
             for key in shard.runs():
@@ -114,7 +115,7 @@ def _human_of(folders: Sequence[ResultsFolder]) -> np.ndarray | None:
         BadInput: if one of them is damaged.
     """
     with checking_input():
-        dangerous, *_ = [judgements.load_kept(folder) for folder in folders]
+        dangerous, *_ = [recorded_human.load_kept(folder) for folder in folders]
     return dangerous
 
 

@@ -15,21 +15,21 @@ import jax
 import numpy as np
 import tyro
 
-from hitl_jax.commands import judgements
-from hitl_jax.commands.cli import checking_input
-from hitl_jax.commands.compile_cache import keep_programs
 from hitl_jax.commands.live import LiveOptions, setup_of, tell_differences
 from hitl_jax.config import AgentConfig, Hyper
-from hitl_jax.differences import completed
-from hitl_jax.documents import options_of
-from hitl_jax.files import ResultsError
-from hitl_jax.fit_human import FittedHuman, fit_human
-from hitl_jax.human import HumanParams
-from hitl_jax.indicator import hull_angle, weighted
+from hitl_jax.console.cli import checking_input
+from hitl_jax.errors import ResultsError
+from hitl_jax.human.fit import FittedHuman, fit_human
+from hitl_jax.human.indicator import hull_angle, weighted
+from hitl_jax.human.judgement import HumanParams
 from hitl_jax.live import journal
 from hitl_jax.live.labels import judged, unjudged
 from hitl_jax.live.session import Session
-from hitl_jax.runs import LoopConfig
+from hitl_jax.results.config_diff import completed
+from hitl_jax.results.json_documents import options_of
+from hitl_jax.sweep import recorded_human
+from hitl_jax.sweep.compile_cache import keep_programs
+from hitl_jax.training.run_spec import LoopConfig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,9 +111,9 @@ def main(options: RecordedOptions) -> int:
     if not len(steps.dangerous):
         raise ResultsError(f"{path}: no step was played that a person judged")
     out = path.with_name(f"{path.name}.human.npz")
-    judgements.write(out, steps.dangerous)
+    recorded_human.write(out, steps.dangerous)
     print("\n".join(_said(steps)))
-    print(f"\nThe person as a human for sweeps: --human {judgements.PREFIX}{out}")
+    print(f"\nThe person as a human for sweeps: --human {recorded_human.PREFIX}{out}")
     return 0
 
 

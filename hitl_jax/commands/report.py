@@ -12,26 +12,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitl_jax import stats
-from hitl_jax.commands import alarm_figure, boundary_map
+from hitl_jax.analysis import alarm_figures, stats
+from hitl_jax.analysis.claims import Claim, Results, judge
+from hitl_jax.analysis.figure_style import Drawn
+from hitl_jax.analysis.figures import draw_all
+from hitl_jax.analysis.markdown import table
+from hitl_jax.analysis.summary import write_summary
+from hitl_jax.commands import boundary_map
 from hitl_jax.commands.ablation import AblationOptions, lines_of, write_ablation
-from hitl_jax.commands.ablations.settings import ABLATIONS
-from hitl_jax.commands.ablations.store import Store
-from hitl_jax.commands.cli import BadInput
-from hitl_jax.commands.reports.claims import Claim, Results, judge
-from hitl_jax.commands.reports.starts import judge_starts
-from hitl_jax.commands.trained import section_of
 from hitl_jax.commands.tuning import TuningOptions
 from hitl_jax.commands.tuning import table as tuning_table
 from hitl_jax.config import Hyper, Method
-from hitl_jax.differences import flatten
-from hitl_jax.figure_parts import Drawn
-from hitl_jax.figures import draw_all
-from hitl_jax.files import ResultsError, write_text_atomic
-from hitl_jax.markdown import table
-from hitl_jax.provenance import short_commit
-from hitl_jax.results import ResultsFolder, Run
-from hitl_jax.summary import write_summary
+from hitl_jax.errors import BadInput, ResultsError
+from hitl_jax.playback.load_trained import section_of
+from hitl_jax.results.atomic_files import write_text_atomic
+from hitl_jax.results.config_diff import flatten
+from hitl_jax.results.folder import ResultsFolder, Run
+from hitl_jax.results.provenance import short_commit
+from hitl_jax.studies.ablations.settings import ABLATIONS
+from hitl_jax.studies.ablations.starts import judge_starts
+from hitl_jax.studies.ablations.store import Store
 
 _STARTS = "initial-boundary"
 _NETWORK = "network"
@@ -120,8 +120,8 @@ def _comparison(comparison: _Comparison, root: pathlib.Path) -> str:
         return f"{title}\nNot run yet.\n"
     write_summary(folder, np.random.default_rng(stats.SEED))
     _tell(draw_all(folder, np.random.default_rng(stats.SEED)))
-    if (folder.path / alarm_figure.DATA).exists():
-        _tell(alarm_figure.draw(folder))
+    if (folder.path / alarm_figures.DATA).exists():
+        _tell(alarm_figures.draw(folder))
     runs: dict[str, list[Run]] = {}
     for run in folder.load_all():
         runs.setdefault(run.key.method, []).append(run)

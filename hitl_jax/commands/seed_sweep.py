@@ -17,25 +17,32 @@ from typing import Any
 
 import numpy as np
 
-from hitl_jax import checkpoint, figures, stats
-from hitl_jax.agent import Agent
-from hitl_jax.commands import judgements
-from hitl_jax.commands.cli import BadInput, LaunchError, checking_input
-from hitl_jax.commands.compile_cache import keep_programs
-from hitl_jax.commands.launchers import Launcher
-from hitl_jax.commands.options import SweepOptions
-from hitl_jax.commands.progress import Progress
-from hitl_jax.commands.signals import Interrupted
-from hitl_jax.commands.training import Batch, Plant, Tested, make_team, policy_digest
+from hitl_jax.analysis import figures, stats
+from hitl_jax.analysis.summary import write_summary
+from hitl_jax.console.cli import checking_input
+from hitl_jax.console.progress import Progress
 from hitl_jax.envs import box2d, default_backend, make_pool, require_backend
-from hitl_jax.episodes import ALARM_WINDOW, LOST_TESTS, num_lost
-from hitl_jax.files import ResultsError, locked
-from hitl_jax.human import recorded
-from hitl_jax.interpreter import child_interpreter
-from hitl_jax.results import ResultsFolder
-from hitl_jax.runs import Run
-from hitl_jax.summary import write_summary
-from hitl_jax.tables import EPISODE_COLUMNS, PROGRESS_COLUMNS, TEST_COLUMNS, to_columns
+from hitl_jax.envs.interpreter import child_interpreter
+from hitl_jax.errors import BadInput, LaunchError, ResultsError
+from hitl_jax.human.judgement import recorded
+from hitl_jax.results.atomic_files import locked
+from hitl_jax.results.episode_measures import ALARM_WINDOW, LOST_TESTS, num_lost
+from hitl_jax.results.episode_tables import (
+    EPISODE_COLUMNS,
+    PROGRESS_COLUMNS,
+    TEST_COLUMNS,
+    to_columns,
+)
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.sweep import recorded_human
+from hitl_jax.sweep.compile_cache import keep_programs
+from hitl_jax.sweep.launchers import Launcher
+from hitl_jax.sweep.options import SweepOptions
+from hitl_jax.sweep.signals import Interrupted
+from hitl_jax.sweep.train_and_test import Batch, Plant, Tested, make_team, policy_digest
+from hitl_jax.team import checkpoint
+from hitl_jax.team.agent import Agent
+from hitl_jax.training.run_spec import Run
 
 FIRST_FIGURES_SECONDS = 100.0
 FIGURES_SECONDS = 300.0
@@ -55,11 +62,11 @@ def main(options: SweepOptions) -> int:
     with contextlib.ExitStack() as held:
         with checking_input():
             options, note = _with_backend(options.checked())
-            dangerous = judgements.load(options.human)
+            dangerous = recorded_human.load(options.human)
             judge = None if dangerous is None else recorded(dangerous)
             agent = make_team(options.agent, options.human_policy, judge)
             folder = ResultsFolder(options.out)
-            config = _config(options) | judgements.digest(dangerous)
+            config = _config(options) | recorded_human.digest(dangerous)
             held.enter_context(options.launch.ready())
             if note:
                 print(note, flush=True)
@@ -69,7 +76,7 @@ def main(options: SweepOptions) -> int:
                 part = options.part()
                 changed = folder.create_or_resume(config, command, part and part._asdict())
                 folder.require_free(spec.key for spec in options.specs())
-                judgements.keep(folder.path, dangerous)
+                recorded_human.keep(folder.path, dangerous)
             except ResultsError as error:
                 raise BadInput(f"--out {error}") from error
         if changed:

@@ -15,28 +15,24 @@ import msgspec
 import numpy as np
 import tyro
 
-from hitl_jax import files, markdown
-from hitl_jax.agent import make_agent
-from hitl_jax.commands.changes import Changes, changed
-from hitl_jax.commands.cli import BadInput, checking_input
-from hitl_jax.commands.compile_cache import keep_programs
-from hitl_jax.config import (
-    AgentConfig,
-    Hyper,
-    Method,
-    hyper_for,
-    require_seeds,
-    require_whole,
-)
-from hitl_jax.differences import completed
-from hitl_jax.documents import checked, options_of, plain_from_json
+from hitl_jax.analysis import markdown
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require_seeds, require_whole
+from hitl_jax.console.cli import checking_input
 from hitl_jax.envs import make_pool, require_backend
-from hitl_jax.episodes import FALL_REWARD
-from hitl_jax.evaluation import MOST_TEST_EPISODES, Evaluator, evaluate_runs
-from hitl_jax.provenance import git_commit, short_commit
-from hitl_jax.rollout import Rollout
-from hitl_jax.runs import FinishedRun, LoopConfig, Run, RunSpec, num_slots
-from hitl_jax.schemas import Config, Count, Positive, Text
+from hitl_jax.errors import BadInput
+from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.trials import MOST_TEST_EPISODES, evaluate_runs
+from hitl_jax.results import atomic_files
+from hitl_jax.results.config_diff import completed
+from hitl_jax.results.episode_measures import FALL_REWARD
+from hitl_jax.results.json_documents import checked, options_of, plain_from_json
+from hitl_jax.results.provenance import git_commit, short_commit
+from hitl_jax.results.schemas import Config, Count, Positive, Text
+from hitl_jax.studies.changes import Changes, changed
+from hitl_jax.sweep.compile_cache import keep_programs
+from hitl_jax.team.agent import make_agent
+from hitl_jax.training.rollout import Rollout
+from hitl_jax.training.run_spec import FinishedRun, LoopConfig, Run, RunSpec, num_slots
 
 _BASE: Changes = {
     "learner": "td3",
@@ -105,7 +101,7 @@ def main(options: TuningOptions) -> int:
         _check(options)
         try:
             out.mkdir(parents=True, exist_ok=True)
-            files.write_text_atomic(out / "tuning.md", table(out, options))
+            atomic_files.write_text_atomic(out / "tuning.md", table(out, options))
         except OSError as error:
             raise BadInput(f"--out {options.out}: {error.strerror}") from error
     keep_programs()
@@ -125,8 +121,8 @@ def main(options: TuningOptions) -> int:
             require_backend("lean")
         stages, tests = _measure(name, agent, loop, hyper, options)
         done = {"asked": asked, "commit": git_commit(), "stages": stages, "tests": tests}
-        files.write_text_atomic(path, json.dumps(done, indent=1, allow_nan=False) + "\n")
-        files.write_text_atomic(out / "tuning.md", table(out, options))
+        atomic_files.write_text_atomic(path, json.dumps(done, indent=1, allow_nan=False) + "\n")
+        atomic_files.write_text_atomic(out / "tuning.md", table(out, options))
     print(table(out, options))
     return 0
 
@@ -211,7 +207,7 @@ def _returns(runs: list[Run], lost: list[FinishedRun]) -> dict[str, list[float]]
 def _load(path: pathlib.Path) -> dict[str, Any] | None:
     """What this command has written to a file; None where it has not."""
     try:
-        data: dict[str, Any] = plain_from_json(files.read_bytes(path), dict[str, Any])
+        data: dict[str, Any] = plain_from_json(atomic_files.read_bytes(path), dict[str, Any])
         checked(data, _Tuned)
         for name, kind in (("agent", AgentConfig), ("loop", LoopConfig), ("hyper", Hyper)):
             options_of(completed(data["asked"])[name], kind)

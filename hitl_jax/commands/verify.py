@@ -16,10 +16,13 @@ from typing import get_args
 import numpy as np
 import tyro
 
-from hitl_jax.agent import Agent
-from hitl_jax.commands.cli import BadInput, checking_input
-from hitl_jax.commands.compile_cache import keep_programs
-from hitl_jax.commands.plays import (
+from hitl_jax.config import require
+from hitl_jax.console.cli import checking_input
+from hitl_jax.envs import make_pool
+from hitl_jax.errors import BadInput, ResultsError
+from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.trials import Mode
+from hitl_jax.playback.episodes import (
     play_tests,
     playing_backend,
     require_repeatable,
@@ -27,14 +30,12 @@ from hitl_jax.commands.plays import (
     tell_differences,
     training_seed,
 )
-from hitl_jax.commands.trained import agent_of, require_same_human
-from hitl_jax.config import require
-from hitl_jax.envs import make_pool
-from hitl_jax.evaluation import Evaluator, Mode
-from hitl_jax.files import ResultsError
-from hitl_jax.results import ResultsFolder, Run
-from hitl_jax.run_key import RunKey, sort_keys
-from hitl_jax.tables import select
+from hitl_jax.playback.load_trained import agent_of, require_same_human
+from hitl_jax.results.episode_tables import select
+from hitl_jax.results.folder import ResultsFolder, Run
+from hitl_jax.results.run_key import RunKey, sort_keys
+from hitl_jax.sweep.compile_cache import keep_programs
+from hitl_jax.team.agent import Agent
 
 _SHOWN = 5
 

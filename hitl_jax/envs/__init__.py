@@ -1,11 +1,12 @@
 """Pools of walkers: gymnasium, Box2D and EnvPool are imported here alone, and lazily."""
 
 import operator
-import os
 import sys
 
 from hitl_jax.envs import box2d
-from hitl_jax.envs.base import Command, StepBatch, Unplayable, WalkerError, WalkerPool
+from hitl_jax.envs.base import Command, StepBatch, WalkerPool
+from hitl_jax.errors import Unplayable, WalkerError
+from hitl_jax.xla.cores import num_cores
 
 BACKENDS = ("lean", "gymnasium", "envpool", "jax")
 WALKER = "BipedalWalker-v3"
@@ -116,13 +117,6 @@ def make_pool(
     from hitl_jax.envs.worker_pool import WorkerPool
 
     return WorkerPool(backend, env_id, num_walkers, num_workers)
-
-
-def num_cores() -> int:
-    """Cores that this process may use: fewer than the machine has, under `taskset` for example."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _whole(name: str, value: int, least: int, most: int | None = None) -> int:

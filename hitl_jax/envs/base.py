@@ -18,28 +18,6 @@ class Command:
     RESET = 2
 
 
-class WalkerError(RuntimeError):
-    """A worker raised, died, or did not come up; one line, and the worker's log as a note."""
-
-
-class Unplayable(ValueError):
-    """An environment that a pool cannot play.
-
-    Attributes:
-        why: without the environment's name, in one line.
-    """
-
-    def __init__(self, env_id: str, why: str):
-        """Makes one line of it.
-
-        Args:
-            env_id: of the environment.
-            why: what is not allowed, and what is.
-        """
-        self.why = " ".join(why.split())
-        super().__init__(f"env_id {env_id!r}: {self.why}")
-
-
 class StepBatch(NamedTuple):
     """What one tick brought; the arrays are the caller's to keep.
 

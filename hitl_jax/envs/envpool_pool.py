@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from hitl_jax.envs.base import CheckedPool, Command, StepBatch, Unplayable
+from hitl_jax.envs.base import CheckedPool, Command, StepBatch
+from hitl_jax.errors import Unplayable
 
 _NO_LIMIT = 2**31 - 1
 

@@ -8,11 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax import lanes, walker
-from hitl_jax.devices import walker_devices
+from hitl_jax import walker
 from hitl_jax.envs.base import CheckedPool, Command, StepBatch
-from hitl_jax.keys import make_key
 from hitl_jax.walker import Step, Walker, gpu
+from hitl_jax.xla import full_registers
+from hitl_jax.xla.devices import walker_devices
+from hitl_jax.xla.threefry import make_key
 
 _MOST_LANES = 512
 """More walkers at once do not fit into a core's cache."""
@@ -38,7 +39,7 @@ class JaxPool(CheckedPool):
     Attributes:
         blocks: of walkers.
         walkers: of each block, leaves [L, ...]; those behind the block's own are never begun.
-        lanes: L, see `hitl_jax.lanes`.
+        lanes: L, see `hitl_jax.xla.full_registers`.
     """
 
     seedable = True
@@ -52,7 +53,7 @@ class JaxPool(CheckedPool):
             hardcore: whether their terrain has stumps, stairs and pits.
         """
         super().__init__(num_walkers, walker.OBSERVATION_SIZE, walker.ACTION_SIZE)
-        devices = walker_devices(min(num_devices, math.ceil(num_walkers / lanes.full(1))))
+        devices = walker_devices(min(num_devices, math.ceil(num_walkers / full_registers.full(1))))
         cpu = devices[0].platform == "cpu"
         needed = math.ceil(num_walkers / _MOST_LANES) if cpu else 1
         share = math.ceil(num_walkers / (math.ceil(needed / len(devices)) * len(devices)))
@@ -61,7 +62,7 @@ class JaxPool(CheckedPool):
             Block(devices[index % len(devices)], start, min(start + share, num_walkers))
             for index, start in enumerate(starts)
         ]
-        self.lanes = lanes.full(share)
+        self.lanes = full_registers.full(share)
         self.walkers = [_waiting(self.lanes, block.device, hardcore) for block in self.blocks]
         self._steps: list[Step] = []
         self._observation = np.zeros((num_walkers, self.observation_size), np.float32)
@@ -70,7 +71,7 @@ class JaxPool(CheckedPool):
         self._steps = []
         for index, block in enumerate(self.blocks):
             own = slice(block.start, block.stop)
-            rows = [lanes.filled(a[own], self.lanes) for a in (command, action, seed)]
+            rows = [full_registers.filled(a[own], self.lanes) for a in (command, action, seed)]
             given = jax.device_put(rows, block.device)
             self.walkers[index], step = tick(self.walkers[index], *given)
             self._steps.append(step)
@@ -106,7 +107,7 @@ class JaxPool(CheckedPool):
 
 def _waiting(lanes: int, device: jax.Device, hardcore: bool) -> Walker:
     """Walkers that wait for their first RESET."""
-    keys = jax.device_put(jnp.zeros(lanes, jnp.uint32), device)
+    keys = jax.device_put(jnp.zeros(full_registers, jnp.uint32), device)
     return _made(keys, hardcore)
 
 

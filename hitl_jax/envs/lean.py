@@ -1,7 +1,8 @@
 """Gymnasium's bipedal walker on Box2D, the same numbers in half the time.
 
-Body, terrain and rewards are built from `hitl_jax.bipedal`; the world and its solver are Box2D's
-own. What is done otherwise than in gymnasium's class leaves every bit of an episode as it is there:
+Body, terrain and rewards are built from `hitl_jax.walker.bipedal`; the world and its solver are
+Box2D's own. What is done otherwise than in gymnasium's class leaves every bit of an episode as it is
+there:
 
 - The edges of the terrain share a few static bodies instead of having one each: the solver visits
   every body at each step.
@@ -21,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from hitl_jax import bipedal
 from hitl_jax.envs import HARDCORE_WALKER, box2d
 from hitl_jax.envs.base import Command
 from hitl_jax.envs.shared import SharedArrays
+from hitl_jax.walker import bipedal
 
 with box2d.quiet():
     from Box2D import (  # type: ignore[import-untyped]

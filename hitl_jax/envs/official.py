@@ -6,9 +6,10 @@ import gymnasium
 import numpy as np
 from gymnasium.wrappers import NormalizeObservation, NormalizeReward
 
-from hitl_jax.envs.base import Command, Unplayable
+from hitl_jax.envs.base import Command
 from hitl_jax.envs.shared import SharedArrays
 from hitl_jax.envs.spaces import action_map, flat_size
+from hitl_jax.errors import Unplayable
 
 _TRIAL_STEPS = 20
 _TOLERANCE = 0.01

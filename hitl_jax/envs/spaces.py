@@ -6,7 +6,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from hitl_jax.envs.base import Unplayable
+from hitl_jax.errors import Unplayable
 
 
 def flat_size(env_id: str, name: str, space: Any) -> int:

@@ -13,8 +13,8 @@ import signal
 import sys
 from typing import Protocol
 
-from hitl_jax.envs.base import Unplayable
 from hitl_jax.envs.shared import REASON_BYTES, SIZES, SharedArrays, map_arrays
+from hitl_jax.errors import Unplayable
 
 _NEW_OBJECTS = 50_000
 

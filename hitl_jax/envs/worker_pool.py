@@ -15,10 +15,11 @@ from typing import IO, NoReturn, TypeVar
 
 import numpy as np
 
-from hitl_jax.envs.base import CheckedPool, Command, StepBatch, Unplayable, WalkerError
+from hitl_jax.envs.base import CheckedPool, Command, StepBatch
+from hitl_jax.envs.episode_log import EpisodeLog, playback
+from hitl_jax.envs.interpreter import child_interpreter
 from hitl_jax.envs.shared import REASON_BYTES, SIZES, map_arrays, num_bytes
-from hitl_jax.episode_log import EpisodeLog, playback
-from hitl_jax.interpreter import child_interpreter
+from hitl_jax.errors import Unplayable, WalkerError
 
 _CLOSE_SECONDS = 5.0
 _LOOK_AFTER_SECONDS = 0.1

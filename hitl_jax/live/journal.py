@@ -4,7 +4,7 @@ Lines are only added, and each is the system's before the next thing happens. So
 loses at most the line that it was writing, and the session's last ticks, fewer than a chunk.
 
 The first line is the setup. Then, by `at`, the frame that came next: what a person said, as
-`hitl_jax.live.commands` has it, with the time; and at the end of a chunk the actions that were
+`hitl_jax.live.messages` has it, with the time; and at the end of a chunk the actions that were
 executed (float32, base64) and a checksum of the session. Each line ends with a checksum of itself
 and of the lines above.
 """
@@ -22,11 +22,12 @@ from typing import Annotated, Any, Literal
 
 from msgspec import UNSET, Meta, Struct, UnsetType
 
-from hitl_jax.documents import checked, plain_from_json
-from hitl_jax.files import ResultsError, is_there, named_errors, one_line, open_plain, read_bytes
-from hitl_jax.live import commands
+from hitl_jax.errors import ResultsError
+from hitl_jax.live import messages
 from hitl_jax.live.session import Session
-from hitl_jax.schemas import Count, Digest, Positive, Text, Versions
+from hitl_jax.results.atomic_files import is_there, named_errors, one_line, open_plain, read_bytes
+from hitl_jax.results.json_documents import checked, plain_from_json
+from hitl_jax.results.schemas import Count, Digest, Positive, Text, Versions
 
 VERSION = 3
 _WITHOUT_SUMS = 2
@@ -88,7 +89,7 @@ class Journal:
         """
         self._add({"journal": VERSION, **header})
 
-    def said(self, session: Session, command: commands.Command) -> None:
+    def said(self, session: Session, command: messages.Command) -> None:
         """Does to a session what a person said, and notes it.
 
         Raises:
@@ -96,8 +97,8 @@ class Journal:
         """
         at = session.frame.number
         beside = {}
-        if command["type"] in commands.JUDGING:
-            beside = commands.apply(session, command)
+        if command["type"] in messages.JUDGING:
+            beside = messages.apply(session, command)
         self._add({"at": at, "said": command, "time": round(time.time(), 3), **beside})
 
     def played(self, session: Session) -> None:
@@ -216,7 +217,7 @@ def read(path: pathlib.Path) -> tuple[Line, list[Line]]:
             said = number > 1 and "said" in line
             checked(line, _Head if number == 1 else _Said if said else _Played)
             if said:
-                commands.require_known(line["said"])
+                messages.require_known(line["said"])
             if number > 2 and line["at"] < read[-1]["at"]:
                 raise ValueError("its frame is before that of the line above")
         except ValueError as error:
@@ -270,9 +271,9 @@ def play(
             before_step()
             session.tick()
         if "said" in line:
-            if line["said"]["type"] in commands.JUDGING:
+            if line["said"]["type"] in messages.JUDGING:
                 try:
-                    commands.apply(session, line["said"])
+                    messages.apply(session, line["said"])
                 except (ValueError, KeyError) as error:
                     raise ResultsError(f"{path}: at frame {line['at']}: {error}") from error
             continue

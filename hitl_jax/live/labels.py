@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax import boundary
-from hitl_jax.acting import following
 from hitl_jax.config import RunHyper
+from hitl_jax.team.acting import following
 
 
 @dataclasses.dataclass

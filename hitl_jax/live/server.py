@@ -19,9 +19,9 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from hitl_jax.live import commands
-from hitl_jax.live.conductor import Conductor, Message
-from hitl_jax.live.doorway import Doorway, make_server
+from hitl_jax.live import messages as commands
+from hitl_jax.live.connection_limits import Doorway, make_server
+from hitl_jax.live.pacing import Conductor, Message
 
 LONGEST_MESSAGE = 4096
 """Of what a page may send [bytes]."""

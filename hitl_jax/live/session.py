@@ -17,20 +17,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax import batch, decisions
-from hitl_jax.acting import ActingState, begin_episode, init_acting
 from hitl_jax.config import typed
-from hitl_jax.devices import acting_device
-from hitl_jax.envs import WalkerError
-from hitl_jax.episodes import Episode, Row, row_of
+from hitl_jax.envs.visible_walker import Answer, Plant
+from hitl_jax.errors import WalkerError
 from hitl_jax.live import person
-from hitl_jax.live.books import Books
+from hitl_jax.live.background_learner import Learning
+from hitl_jax.live.frame_store import Books
 from hitl_jax.live.labels import Label, judged
-from hitl_jax.live.learning import Learning
-from hitl_jax.live.plant import Answer, Plant
 from hitl_jax.live.setup import Setup
-from hitl_jax.runs import episode_seed, method_index
+from hitl_jax.results.episode_measures import Episode, Row, row_of
+from hitl_jax.team import packed_decision
+from hitl_jax.team.acting import ActingState, begin_episode, init_acting
+from hitl_jax.training import compiled_batch
+from hitl_jax.training.run_spec import episode_seed, method_index
 from hitl_jax.types import Behavior, TrainState
+from hitl_jax.xla.devices import acting_device
 
 
 class Frame(NamedTuple):
@@ -82,7 +83,7 @@ class Session:
         # What was learned before need not begin with random actions.
         warmup = setup.hyper.warmup_steps if setup.start is None else 0
         self._hyper = typed(dataclasses.replace(setup.hyper, warmup_steps=warmup))
-        learning, acting, _ = batch.run_keys(setup.seed, method_index(setup.method))
+        learning, acting, _ = compiled_batch.run_keys(setup.seed, method_index(setup.method))
         train = setup.first_train(learning)
         state = init_acting(agent, self._hyper, acting)
         if setup.start is not None:
@@ -268,7 +269,7 @@ class Session:
         decided = np.asarray(packed)
         if not np.isfinite(decided).all():
             raise WalkerError(f"frame {number}: the learner diverged: its numbers are not finite")
-        flags = {n: bool(v) for n, v in decisions.flags_of(decided[None], layout).items()}
+        flags = {n: bool(v) for n, v in packed_decision.flags_of(decided[None], layout).items()}
         answer = self.plant.step(decided[layout.action])
         if not (np.isfinite(answer.observation).all() and np.isfinite(answer.reward)):
             raise WalkerError(f"frame {number}: what the walker answered is not finite")

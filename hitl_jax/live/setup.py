@@ -7,10 +7,10 @@ import chex
 import jax
 import numpy as np
 
-from hitl_jax import agent as agents
-from hitl_jax.agent import Agent
 from hitl_jax.config import Method, RunHyper
-from hitl_jax.runs import LoopConfig
+from hitl_jax.team import agent as agents
+from hitl_jax.team.agent import Agent
+from hitl_jax.training.run_spec import LoopConfig
 from hitl_jax.types import Params, TrainState
 
 

@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax import bipedal
-from hitl_jax.walker import ground, hinges, parts, terrain, touch, world
-from hitl_jax.walker.flat import of_one
-from hitl_jax.walker.hinges import Impulses
-from hitl_jax.walker.plane import Vec, pose, vec
+from hitl_jax.walker import bipedal, constants, terrain
+from hitl_jax.walker.batching.batch_last_vmap import of_one
+from hitl_jax.walker.geometry import Vec, pose, vec
+from hitl_jax.walker.physics import ground, joints, manifolds, world
+from hitl_jax.walker.physics.joints import Impulses
+from hitl_jax.walker.physics.world import World
 from hitl_jax.walker.terrain import Terrain
-from hitl_jax.walker.world import World
 
 OBSERVATION_SIZE = 24
 ACTION_SIZE = 4
@@ -104,20 +104,20 @@ def _bodies(push: jax.Array) -> World:
     x, y = bipedal.START_X, bipedal.START_Y
     thigh = y - bipedal.LEG_H / 2 - bipedal.LEG_DOWN
     shin = y - bipedal.LEG_H * 3 / 2 - bipedal.LEG_DOWN
-    hull = np.array([x, y]) + parts.HULL_CENTRE
+    hull = np.array([x, y]) + constants.HULL_CENTRE
     zero = jnp.zeros(5, jnp.float32)
     hinge = jnp.zeros(4, jnp.float32)
-    pushed = push * np.float32(parts.SECONDS * parts.INVERSE_MASS[0])
+    pushed = push * np.float32(constants.SECONDS * constants.INVERSE_MASS[0])
     return World(
         place=Vec(
             jnp.asarray([hull[0], x, x, x, x], jnp.float32),
             jnp.asarray([hull[1], thigh, shin, thigh, shin], jnp.float32),
         ),
-        angle=jnp.asarray([0.0, *parts.START_TILTS], jnp.float32),
+        angle=jnp.asarray([0.0, *constants.START_TILTS], jnp.float32),
         velocity=Vec(zero.at[0].set(pushed), zero),
         spin=zero,
         impulses=Impulses(Vec(hinge, hinge), hinge, hinge),
-        contacts=jax.tree.map(lambda leaf: leaf[..., 0], touch.no_contacts(1)),
+        contacts=jax.tree.map(lambda leaf: leaf[..., 0], manifolds.no_contacts(1)),
         feet=jnp.zeros(4, bool),
         fallen=jnp.zeros((), bool),
     )
@@ -127,8 +127,8 @@ def _advance(
     before: World, action: jax.Array, terrain: Terrain
 ) -> tuple[World, jax.Array, jax.Array]:
     """The world after a step, the observation and the place of the hull; last axis is the batch."""
-    speed = jnp.asarray(parts.SPEEDS[:, None], jnp.float32) * jnp.sign(action)
-    torque = parts.TORQUE * jnp.clip(jnp.abs(action), 0, 1)
+    speed = jnp.asarray(constants.SPEEDS[:, None], jnp.float32) * jnp.sign(action)
+    torque = constants.TORQUE * jnp.clip(jnp.abs(action), 0, 1)
     after = world.step(before, speed, torque, terrain)
     observation, place = observe(after, terrain)
     return after, observation, place
@@ -146,9 +146,9 @@ def observe(now: World, terrain: Terrain) -> tuple[jax.Array, jax.Array]:
     """
     angle, spin = now.angle[0], now.spin[0]
     body = pose(Vec(now.place.x[0], now.place.y[0]), angle)
-    origin = body.put(vec(-parts.HULL_CENTRE))
+    origin = body.put(vec(-constants.HULL_CENTRE))
     fps, scale = bipedal.FPS, bipedal.SCALE
-    bend, speed = hinges.angles(now.angle), hinges.speeds(now.spin)
+    bend, speed = joints.angles(now.angle), joints.speeds(now.spin)
     feet = now.feet.astype(jnp.float32)
     legs = [
         row
@@ -192,5 +192,5 @@ def step(walker: Walker, action: jax.Array) -> tuple[Walker, Step]:
     reward = jnp.where(fallen, -100.0, shaping - walker.shaping - effort)
     steps = walker.steps + 1
     most = MOST_STEPS if walker.terrain.boxes is None else MOST_HARDCORE_STEPS
-    made = Step(observation, reward, fallen | (place > parts.GOAL), steps >= most)
+    made = Step(observation, reward, fallen | (place > constants.GOAL), steps >= most)
     return Walker(after, walker.terrain, shaping, steps), made

@@ -6,14 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax import bipedal
-from hitl_jax.walker import parts
-from hitl_jax.walker.boxes import Boxes
-from hitl_jax.walker.flat import of_one
+from hitl_jax.walker import bipedal, constants
+from hitl_jax.walker.batching.batch_last_vmap import of_one
+from hitl_jax.walker.geometry import Vec
 from hitl_jax.walker.gpu.kernel import as_kernel
-from hitl_jax.walker.plane import Vec
+from hitl_jax.walker.physics.boxes import Boxes
 
-_STEP = np.float32(parts.TERRAIN_STEP)
+_STEP = np.float32(constants.TERRAIN_STEP)
 _GRASS, _STUMP, _STAIRS, _PIT = range(4)
 _STAIR_WIDTH, _PIT_DEPTH = 4, 4
 """In stretches of the ground between two corners."""
@@ -59,7 +58,7 @@ def grass(key: jax.Array) -> jax.Array:
         Heights [TERRAIN_LENGTH] [m].
     """
     push_key, stretch_key = jax.random.split(key)
-    shape = (parts.TERRAIN_LENGTH,)
+    shape = (constants.TERRAIN_LENGTH,)
     pushes = _uniform(push_key, shape) / np.float32(bipedal.SCALE)
     stretches = _whole(stretch_key, shape, bipedal.TERRAIN_GRASS // 2, bipedal.TERRAIN_GRASS)
     heights: jax.Array = _profile_of_one(pushes, stretches)
@@ -84,7 +83,7 @@ def _profile(pushes: jax.Array, stretches: jax.Array) -> jax.Array:
     zero = jnp.zeros_like(pushes[0])
     left = jnp.full_like(stretches[0], bipedal.TERRAIN_STARTPAD)
     carry = zero + jnp.float32(start), zero, left, jnp.zeros_like(zero, bool)
-    drawn = jnp.arange(parts.TERRAIN_LENGTH, dtype=jnp.int32), pushes, stretches
+    drawn = jnp.arange(constants.TERRAIN_LENGTH, dtype=jnp.int32), pushes, stretches
     heights: jax.Array = jax.lax.scan(corner, carry, drawn)[1]
     return heights
 
@@ -104,7 +103,7 @@ def rough(key: jax.Array) -> Terrain:
         The terrain.
     """
     keys = jax.random.split(key, 6)
-    shape = (parts.TERRAIN_LENGTH,)
+    shape = (constants.TERRAIN_LENGTH,)
     return planned(
         _uniform(keys[0], shape) / np.float32(bipedal.SCALE),
         _whole(keys[1], shape, bipedal.TERRAIN_GRASS // 2, bipedal.TERRAIN_GRASS),
@@ -217,14 +216,14 @@ def _spots(pushes: jax.Array, *drawn: jax.Array) -> tuple[jax.Array, _Spot]:
     start = _Spot(none + _GRASS, none, none, level, none + 1)
     pad = none + bipedal.TERRAIN_STARTPAD
     carry = level, jnp.zeros_like(level), pad, jnp.zeros_like(none, bool), start
-    index = jnp.arange(parts.TERRAIN_LENGTH, dtype=jnp.int32)
+    index = jnp.arange(constants.TERRAIN_LENGTH, dtype=jnp.int32)
     passed: tuple[jax.Array, _Spot] = jax.lax.scan(corner, carry, (index, pushes, *drawn))[1]
     return passed
 
 
 def _built(spot: _Spot) -> Boxes:
     """The box over the stretch behind each corner; arrays are [TERRAIN_LENGTH, B]."""
-    index = jnp.arange(parts.TERRAIN_LENGTH, dtype=jnp.int32)[:, None]
+    index = jnp.arange(constants.TERRAIN_LENGTH, dtype=jnp.int32)[:, None]
     tread = spot.made // _STAIR_WIDTH
     begin = index - spot.choose(spot.made, spot.made % _STAIR_WIDTH, 0)
     end = begin + spot.choose(spot.size, _STAIR_WIDTH, 1)
@@ -233,7 +232,7 @@ def _built(spot: _Spot) -> Boxes:
     wall = (spot.made == 0) | (spot.made == spot.size)
     there = (spot.kind != _GRASS) & ((spot.kind != _PIT) | wall)
     # The last boxes may go on behind the ground.
-    places = np.arange(parts.TERRAIN_LENGTH + 2 * _STAIR_WIDTH) * parts.TERRAIN_STEP
+    places = np.arange(constants.TERRAIN_LENGTH + 2 * _STAIR_WIDTH) * constants.TERRAIN_STEP
     place = jnp.asarray(places, jnp.float32)
     low, high = Vec(place[begin], bottom), Vec(place[end], top)
     return Boxes(*(Vec(*(jnp.where(there, v, 0.0) for v in (at.x, at.y))) for at in (low, high)))

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hitl_jax.documents import FORMAT, _digest
+from hitl_jax.results.json_documents import FORMAT, _digest
 
 Damage = Callable[[bytes, random.Random], bytes]
 

@@ -20,31 +20,25 @@ import numpy as np
 from damages import Damage, kind_of
 from live_team import setup_of
 
-from hitl_jax import agent as agents
-from hitl_jax import checkpoint
-from hitl_jax.agent import make_agent
-from hitl_jax.commands import (
-    alarm_figure,
-    boundary_map,
-    judgements,
-    live,
-    recorded,
-    seed_sweep,
-    trained,
-    tuning,
-)
-from hitl_jax.commands.ablations.store import _COLUMNS, Store
-from hitl_jax.commands.options import SweepOptions
+from hitl_jax.analysis import alarm_figures
+from hitl_jax.commands import boundary_map, live, recorded, seed_sweep, tuning
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.files import named_errors
 from hitl_jax.live import journal
 from hitl_jax.live.session import Session
-from hitl_jax.recording import STEP_COLUMNS, Recording
-from hitl_jax.results import ResultsFolder
-from hitl_jax.run_key import RunKey
-from hitl_jax.saved import SavedRun
-from hitl_jax.saves import Saves
-from hitl_jax.tables import EPISODE_COLUMNS, PROGRESS_COLUMNS, TEST_COLUMNS
+from hitl_jax.playback import load_trained
+from hitl_jax.results.atomic_files import named_errors
+from hitl_jax.results.episode_tables import EPISODE_COLUMNS, PROGRESS_COLUMNS, TEST_COLUMNS
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.recorded_episodes import STEP_COLUMNS, Recording
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.studies.ablations.store import _COLUMNS, Store
+from hitl_jax.sweep import recorded_human
+from hitl_jax.sweep.options import SweepOptions
+from hitl_jax.team import agent as agents
+from hitl_jax.team import checkpoint
+from hitl_jax.team.agent import make_agent
+from hitl_jax.training.saved_run import SavedRun
+from hitl_jax.training.saved_run_store import Saves
 
 KEY = RunKey("hitl-ac", 0)
 RUN = f"runs/{KEY.method}/seed-0000"
@@ -81,17 +75,17 @@ class Format(NamedTuple):
 def make(root: pathlib.Path) -> None:
     """Makes a folder in which every format occurs."""
     rng = np.random.default_rng(0)
-    judgements.write(root / "judged.npz", _DANGEROUS)
+    recorded_human.write(root / "judged.npz", _DANGEROUS)
     config = _config()
     for name in ("sweep", "old", "recorded"):
         human = _human_of(name)
         folder = ResultsFolder(root / name)
         folder.create_or_resume(config | human, "hitl-jax sweep", _SHARD)
-        judgements.keep(folder.path, _DANGEROUS if human else None)
+        recorded_human.keep(folder.path, _DANGEROUS if human else None)
         _save_run(folder, config | human, rng)
         folder.write_partial(RunKey("srl", 1), _columns(EPISODE_COLUMNS, _EPISODES, rng))
     _as_of_format_1(root / "old")
-    (root / "sweep" / alarm_figure.DATA).write_text(_alarms())
+    (root / "sweep" / alarm_figures.DATA).write_text(_alarms())
     (root / "sweep" / boundary_map.DATA).write_text(
         "angle,velocity,steps,boundary\n0.1,0.2,3,0.7\n"
     )
@@ -129,7 +123,7 @@ def _config() -> dict[str, Any]:
 
 
 def _human_of(name: str) -> dict[str, str]:
-    return judgements.digest(_DANGEROUS) if name == "recorded" else {}
+    return recorded_human.digest(_DANGEROUS) if name == "recorded" else {}
 
 
 def _columns(names: tuple[str, ...], count: int, rng: np.random.Generator) -> dict[str, Any]:
@@ -176,7 +170,7 @@ def _as_of_format_1(path: pathlib.Path) -> None:
 
 
 def _alarms() -> str:
-    lines = [",".join(alarm_figure.COLUMNS)]
+    lines = [",".join(alarm_figures.COLUMNS)]
     for method in ("srl", "hitl-ac"):
         lines += [f"{method},{seed},{tau},9,4,2,1,1,3" for seed in (0, 1) for tau in (0.0, 0.5)]
     return "\n".join(lines) + "\n"
@@ -243,10 +237,10 @@ def _read_sweep(root: pathlib.Path, name: str = "sweep") -> Any:
     document = folder._document()
     folder.create_or_resume(_config() | _human_of(name), "again", _SHARD)
     run = folder.load_run(KEY)
-    agent = trained.agent_of(folder)
-    spec, end = trained.load_trained(agent, folder, KEY)
+    agent = load_trained.agent_of(folder)
+    spec, end = load_trained.load_trained(agent, folder, KEY)
     recordings = folder.load_recordings(KEY)
-    dangerous = judgements.load_kept(folder)
+    dangerous = recorded_human.load_kept(folder)
     folder.check_run(KEY)
     return document, vars(run), spec, end, recordings, dangerous
 
@@ -264,7 +258,7 @@ def _read_partials(root: pathlib.Path) -> Any:
 
 
 def _read_judged(root: pathlib.Path) -> Any:
-    return judgements.load(judgements.PREFIX + str(root / "judged.npz"))
+    return recorded_human.load(recorded_human.PREFIX + str(root / "judged.npz"))
 
 
 def _read_policy(root: pathlib.Path) -> Any:
@@ -299,9 +293,9 @@ def _read_old_journal(root: pathlib.Path) -> Any:
 
 
 def _read_alarms(root: pathlib.Path) -> Any:
-    path = root / "sweep" / alarm_figure.DATA
+    path = root / "sweep" / alarm_figures.DATA
     with named_errors(path):
-        return alarm_figure._load(path.read_bytes().decode())
+        return alarm_figures._load(path.read_bytes().decode())
 
 
 def _read_map(root: pathlib.Path) -> Any:
@@ -474,7 +468,7 @@ def sign_save(data: bytes, chance: random.Random) -> bytes:
         changed = file.getvalue()
     else:
         changed = damages.swap_arrays(data[:-size], chance)
-    from hitl_jax.saves import _digest
+    from hitl_jax.training.saved_run_store import _digest
 
     return changed + _digest(changed)
 

@@ -12,8 +12,8 @@ import pytest
 from live_team import TOKEN, Served, setup_of
 from websockets.sync.client import connect
 
-from hitl_jax.commands.benchmarks.crowd import crowd, seconds_of_page
-from hitl_jax.live.doorway import Doorway, FewLines, make_server
+from hitl_jax.benchmarks.crowd import crowd, seconds_of_page
+from hitl_jax.live.connection_limits import Doorway, FewLines, make_server
 from hitl_jax.live.session import Session
 
 _REQUEST = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n"
@@ -180,7 +180,7 @@ def test_the_log_is_bounded():
 
 def test_after_a_while_lines_are_written_again(monkeypatch):
     now = 0.0
-    monkeypatch.setattr("hitl_jax.live.doorway.time.monotonic", lambda: now)
+    monkeypatch.setattr("hitl_jax.live.connection_limits.time.monotonic", lambda: now)
     few = FewLines()
     record = logging.makeLogRecord({"msg": "said"})
     assert sum(few.filter(record) for _ in range(1000)) == 20

@@ -7,21 +7,21 @@ import threading
 import numpy as np
 import pytest
 
-from hitl_jax import files
-from hitl_jax.differences import ConfigMismatch
-from hitl_jax.files import (
+from hitl_jax.errors import ResultsError
+from hitl_jax.results import atomic_files
+from hitl_jax.results.atomic_files import (
     LOCK,
-    ResultsError,
     locked,
     remove_leftovers,
     write_bytes_atomic,
     write_folder_atomic,
     write_text_atomic,
 )
-from hitl_jax.results import ResultsFolder
-from hitl_jax.run_key import RunKey
-from hitl_jax.saves import Saves
-from hitl_jax.tables import EPISODE_COLUMNS, TEST_COLUMNS
+from hitl_jax.results.config_diff import ConfigMismatch
+from hitl_jax.results.episode_tables import EPISODE_COLUMNS, TEST_COLUMNS
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.training.saved_run_store import Saves
 
 _CONFIG = {"hyper": {"gamma": 0.99}}
 _OTHER = {"hyper": {"gamma": 0.5}}
@@ -253,7 +253,7 @@ def test_files_of_other_names_are_no_saves(tmp_path, number):
 @pytest.mark.parametrize("kind", ["file", "folder"])
 def test_what_is_removed_before_it_is_locked_is_written_again(tmp_path, monkeypatch, kind):
     """By a process that takes it for a leftover."""
-    opened, left = files.os.open, 2
+    opened, left = atomic_files.os.open, 2
 
     def open_and_lose(path, *arguments, **more):
         nonlocal left
@@ -263,7 +263,7 @@ def test_what_is_removed_before_it_is_locked_is_written_again(tmp_path, monkeypa
             remove_leftovers(tmp_path)
         return descriptor
 
-    monkeypatch.setattr(files.os, "open", open_and_lose)
+    monkeypatch.setattr(atomic_files.os, "open", open_and_lose)
     if kind == "file":
         write_bytes_atomic(tmp_path / "run.json", b"{}")
         assert (tmp_path / "run.json").read_bytes() == b"{}"

@@ -8,7 +8,8 @@ import time
 
 import pytest
 
-from hitl_jax.files import ResultsError, locked
+from hitl_jax.errors import ResultsError
+from hitl_jax.results.atomic_files import locked
 
 _ISOLATED = ["unshare", "--user", "--map-root-user", "--pid", "--fork", "--mount-proc"]
 

@@ -16,11 +16,12 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from hitl_jax import archives, documents, recording, tables
-from hitl_jax.documents import from_json, to_json
-from hitl_jax.files import ResultsError, read_bytes
-from hitl_jax.live import commands
-from hitl_jax.schemas import FolderDocument, RunDocument, SaveHead
+from hitl_jax.errors import ResultsError
+from hitl_jax.live import messages
+from hitl_jax.results import episode_tables, json_documents, npz_archives, recorded_episodes
+from hitl_jax.results.atomic_files import read_bytes
+from hitl_jax.results.json_documents import from_json, to_json
+from hitl_jax.results.schemas import FolderDocument, RunDocument, SaveHead
 
 many = hypothesis.settings(max_examples=300, deadline=None, derandomize=True)
 
@@ -59,7 +60,7 @@ def test_json_of_any_kind(data):
     for schema in (FolderDocument, RunDocument, SaveHead):
         with pytest.raises(ValueError, match=r"\A[ -~]+\Z"):
             from_json(data, schema)
-    said = _refusal(commands.parse, data)
+    said = _refusal(messages.parse, data)
     assert said is None or "\n" not in said
 
 
@@ -108,7 +109,7 @@ def test_what_a_terminal_would_obey_is_neither_read_nor_written():
 def test_arrays_come_back_as_they_were(told):
     hypothesis.assume(not {"file", "allow_pickle"} & told.keys())
     hypothesis.assume(not any(name.endswith(".npy") for name in told))
-    found = archives.from_npz(archives.to_npz(told))
+    found = npz_archives.from_npz(npz_archives.to_npz(told))
     assert found.keys() == told.keys()
     for name, array in told.items():
         np.testing.assert_array_equal(found[name], array)
@@ -128,13 +129,13 @@ def test_arrays_come_back_as_they_were(told):
 )
 def test_numbers_that_we_do_not_write_are_refused(array, said):
     with pytest.raises(ValueError, match=said):
-        archives.from_npz(archives.to_npz({"w": array}))
+        npz_archives.from_npz(npz_archives.to_npz({"w": array}))
 
 
 def test_an_old_header_is_refused_without_a_warning():
-    data = archives.to_npz({"w": np.zeros(3)}).replace(b"(3,)", b"(3L)")
+    data = npz_archives.to_npz({"w": np.zeros(3)}).replace(b"(3,)", b"(3L)")
     with pytest.raises(ValueError, match=r"Warning|header|CRC"):
-        archives.from_npz(data)
+        npz_archives.from_npz(data)
 
 
 def test_a_document_with_a_digest_is_held_to_it_whatever_its_format():
@@ -145,18 +146,18 @@ def test_a_document_with_a_digest_is_held_to_it_whatever_its_format():
 
 
 def test_a_long_cell_costs_no_memory():
-    head = ",".join(tables.EPISODE_COLUMNS) + "\n"
-    row = ",".join(["1"] * len(tables.EPISODE_COLUMNS)) + "\n"
+    head = ",".join(episode_tables.EPISODE_COLUMNS) + "\n"
+    row = ",".join(["1"] * len(episode_tables.EPISODE_COLUMNS)) + "\n"
     text = head + row * 6000 + "1" * 100_000 + row
     with _at_most(60 * 2**20), pytest.raises(ValueError, match="line 6002 has a cell of more"):
-        tables.table_from_csv(text, tables.EPISODE_COLUMNS)
+        episode_tables.table_from_csv(text, episode_tables.EPISODE_COLUMNS)
 
 
 @many
 @hypothesis.given(st.binary(max_size=400))
 def test_bytes_of_any_kind_are_no_arrays(data):
     with pytest.raises(ValueError, match=r"(?s)."):
-        archives.from_npz(data)
+        npz_archives.from_npz(data)
 
 
 def _bomb(size: int) -> bytes:
@@ -191,9 +192,9 @@ def _twice() -> bytes:
 def test_what_unpacks_to_more_than_it_should_costs_nothing(data, said):
     assert len(data) < 2**21
     with _at_most(4 * 2**20), pytest.raises(ValueError, match=said):
-        archives.from_npz(data)
+        npz_archives.from_npz(data)
     with _at_most(4 * 2**20), pytest.raises(ValueError, match=r"no recorded episode|once|magic"):
-        recording.from_npz(data, np.array([5]))
+        recorded_episodes.from_npz(data, np.array([5]))
 
 
 def test_recordings_are_looked_at_before_they_are_unpacked():
@@ -203,14 +204,14 @@ def test_recordings_are_looked_at_before_they_are_unpacked():
     np.savez_compressed(file, **{"best/episode": np.array(1), "best/steps": steps})
     refused = pytest.raises(ValueError, match="are more than of any episode")
     with _at_most(2**20), refused:
-        recording.from_npz(file.getvalue(), np.array([1600]))
+        recorded_episodes.from_npz(file.getvalue(), np.array([1600]))
 
 
 @many
 @hypothesis.given(st.text(max_size=200))
 def test_text_of_any_kind_is_no_table(text):
-    for rest in ("", ",".join(tables.EPISODE_COLUMNS) + "\n"):
-        said = _refusal(tables.table_from_csv, rest + text, tables.EPISODE_COLUMNS)
+    for rest in ("", ",".join(episode_tables.EPISODE_COLUMNS) + "\n"):
+        said = _refusal(episode_tables.table_from_csv, rest + text, episode_tables.EPISODE_COLUMNS)
         assert said is None or "\n" not in said
 
 
@@ -237,6 +238,6 @@ def test_what_is_no_file_is_not_waited_for(tmp_path, kind):
 def test_a_file_that_is_too_large_is_not_read(tmp_path):
     path = tmp_path / "config.json"
     with open(path, "wb") as file:
-        file.truncate(documents.LARGEST_JSON + 1)
+        file.truncate(json_documents.LARGEST_JSON + 1)
     with pytest.raises(ResultsError, match="must be at most"):
-        read_bytes(path, documents.LARGEST_JSON)
+        read_bytes(path, json_documents.LARGEST_JSON)

@@ -11,8 +11,8 @@ import pytest
 from live_team import setup_of
 
 from hitl_jax.commands import live
-from hitl_jax.commands.cli import run_main
-from hitl_jax.files import ResultsError
+from hitl_jax.console.cli import run_main
+from hitl_jax.errors import ResultsError
 from hitl_jax.live import journal
 from hitl_jax.live.session import Session
 

@@ -9,12 +9,13 @@ import pytest
 from forged import rewrite
 from test_results import CONFIG, make_info, make_params, make_tests
 
-from hitl_jax.commands import judgements, merge
-from hitl_jax.commands.cli import run_main
-from hitl_jax.recording import Recording
-from hitl_jax.results import ResultsFolder
-from hitl_jax.run_key import RunKey
-from hitl_jax.tables import EPISODE_COLUMNS
+from hitl_jax.commands import merge
+from hitl_jax.console.cli import run_main
+from hitl_jax.results.episode_tables import EPISODE_COLUMNS
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.recorded_episodes import Recording
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.sweep import recorded_human
 
 _RUN = "runs/srl/seed-0001"
 _CONFIG = CONFIG | {"episodes": 3, "test_episodes": 1}
@@ -187,13 +188,13 @@ def test_too_few_episodes_are_no_run_of_the_config(tmp_path, capsys):
 def test_shards_of_different_humans_are_not_merged(tmp_path, capsys):
     """The file of one is the other's, though their config is the same."""
     mine, yours = np.arange(5) > 2, np.arange(5) > 3
-    config = _CONFIG | judgements.digest(mine)
+    config = _CONFIG | recorded_human.digest(mine)
     for number in (1, 2):
-        judgements.keep(_shard(tmp_path / str(number), number, config).path, mine)
+        recorded_human.keep(_shard(tmp_path / str(number), number, config).path, mine)
     shards = tmp_path / "1", tmp_path / "2"
     assert _merge(shards, tmp_path / "out", capsys)[0] == 0
     shutil.rmtree(tmp_path / "out")
-    judgements.write(shards[1] / "human.npz", yours)
+    recorded_human.write(shards[1] / "human.npz", yours)
     code, said = _merge(shards, tmp_path / "out", capsys)
     assert code == 2
     assert f"{shards[1] / 'human.npz'}: is not the human that" in said

@@ -6,7 +6,8 @@ like the others, the hull and both parts of its leg; they tell each other by `jn
 axis of the legs or over that of their parts. What is done to a body is the same as in `world`, in
 the same order.
 
-Arrays are [..., 2 legs, 2 for thigh and shin, B]. The legs are alike, but for `parts.REFERENCE`.
+Arrays are [..., 2 legs, 2 for thigh and shin, B]. The legs are alike, but for
+`constants.REFERENCE`.
 """
 
 import dataclasses
@@ -18,12 +19,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax.walker import grips, hinges, parts
+from hitl_jax.walker import constants
+from hitl_jax.walker.geometry import Speeds, Vec
 from hitl_jax.walker.gpu.kernel import as_kernel
-from hitl_jax.walker.grips import Grips, Pair
-from hitl_jax.walker.hinges import Hinges, Impulses, Placed
-from hitl_jax.walker.plane import Speeds, Vec
-from hitl_jax.walker.touch import Manifold
+from hitl_jax.walker.physics import contact_solver, joints
+from hitl_jax.walker.physics.contact_solver import Grips, Pair
+from hitl_jax.walker.physics.joints import Hinges, Impulses, Placed
+from hitl_jax.walker.physics.manifolds import Manifold
 
 _LANES = (2, 2)
 """Legs, and thigh and shin: the axes of threads, for `as_kernel`."""
@@ -32,7 +34,7 @@ _HIP, _KNEE = 0, 1
 _LEG_AXIS, _PART_AXIS = -3, -2
 _SECOND_LEG = jnp.asarray(np.array([False, True]).reshape(2, 1, 1))
 _SHIN = jnp.asarray(np.array([False, True]).reshape(2, 1))
-_REFERENCES = jnp.asarray(parts.REFERENCE.reshape(2, 2).T[..., None, None], jnp.float32)
+_REFERENCES = jnp.asarray(constants.REFERENCE.reshape(2, 2).T[..., None, None], jnp.float32)
 """Of hip and knee [2, 2 legs, 1, 1]."""
 
 Tree = TypeVar("Tree")
@@ -176,7 +178,7 @@ def settled(
         angle: likewise [rad].
         side: of the hinges' limits [4, B].
         manifold: of the contacts [slots, 4, B].
-        firmness: see `grips.position_round`.
+        firmness: see `contact_solver.position_round`.
         sound: contacts that are not deeper are well [m].
 
     Returns:
@@ -212,26 +214,28 @@ def _velocity_rounds(motion: _Motion, hips: Hinges, knees: Hinges, grip: Grips) 
     first's knee: that, and its contacts, is put off until both knees can be solved at once. So the
     first leg is a part of a round behind the second, and one more is made to end with.
     """
-    last = parts.VELOCITY_ROUNDS
+    last = constants.VELOCITY_ROUNDS
 
     def round_(count: jax.Array, motion: _Motion) -> _Motion:
         begins, goes_on = count < last, count > 0
         due = jnp.where(_SECOND_LEG, begins, goes_on)
         hull, thigh, shin = motion.hull, motion.thigh, motion.shin
-        solved = hinges.solve(_KNEE, (thigh, shin), knees, motion.knee)
+        solved = joints.solve(_KNEE, (thigh, shin), knees, motion.knee)
         (thigh, shin), knee = _chosen(due, solved, ((thigh, shin), motion.knee))
 
-        solved = hinges.solve(_HIP, (hull, thigh), hips, motion.hip)
+        solved = joints.solve(_HIP, (hull, thigh), hips, motion.hip)
         second = begins & _SECOND_LEG
         (hull, thigh), hip = _chosen(second, solved, ((hull, thigh), motion.hip))
         hull = _of_leg(True, hull)
 
         own = _chosen(_SHIN, shin, thigh)
         before = own, motion.normal, motion.along
-        own, normal, along = _chosen(due, grips.velocity_round(own, grip, *before[1:]), before)
+        own, normal, along = _chosen(
+            due, contact_solver.velocity_round(own, grip, *before[1:]), before
+        )
         thigh, shin = _both_parts(own)
 
-        solved = hinges.solve(_HIP, (hull, thigh), hips, hip)
+        solved = joints.solve(_HIP, (hull, thigh), hips, hip)
         first = begins & ~_SECOND_LEG
         (hull, thigh), hip = _chosen(first, solved, ((hull, thigh), hip))
         hull = _of_leg(False, hull)
@@ -252,24 +256,24 @@ def _position_rounds(
     """As many position rounds as are needed and allowed; hull and parts after them."""
     like = own[1].shape
     weight = jax.tree.map(
-        lambda leaf: jnp.broadcast_to(leaf.reshape(*_LANES, 1), like), grips.WEIGHT
+        lambda leaf: jnp.broadcast_to(leaf.reshape(*_LANES, 1), like), contact_solver.WEIGHT
     )
     references = [jnp.broadcast_to(of_legs, like) for of_legs in _REFERENCES]
 
     def one(carry: tuple) -> tuple:
         count, hull, own, active = carry
         place, turn = own
-        place, turn, least = grips.position_round(place, turn, manifold, weight, firmness)
+        place, turn, least = contact_solver.position_round(place, turn, manifold, weight, firmness)
         thigh, shin = _both_parts((place, turn))
         # Box2D's order is: knee and hip of the second leg, hip and knee of the first.
-        bent, of_knee = hinges.join(_KNEE, (thigh, shin), knee_side, references[_KNEE])
+        bent, of_knee = joints.join(_KNEE, (thigh, shin), knee_side, references[_KNEE])
         thigh, shin = _chosen(_SECOND_LEG, bent, (thigh, shin))
-        (new_hull, swung), of_hip = hinges.join(_HIP, (hull, thigh), hip_side, references[_HIP])
+        (new_hull, swung), of_hip = joints.join(_HIP, (hull, thigh), hip_side, references[_HIP])
         thigh, well = _chosen(_SECOND_LEG, (swung, of_knee & of_hip), (thigh, of_knee))
         new_hull = _of_leg(True, new_hull)
-        (new_hull, swung), of_hip = hinges.join(_HIP, (new_hull, thigh), hip_side, references[_HIP])
+        (new_hull, swung), of_hip = joints.join(_HIP, (new_hull, thigh), hip_side, references[_HIP])
         new_hull = _of_leg(False, new_hull)
-        bent, of_knee = hinges.join(_KNEE, (swung, shin), knee_side, references[_KNEE])
+        bent, of_knee = joints.join(_KNEE, (swung, shin), knee_side, references[_KNEE])
         thigh, shin = _chosen(_SECOND_LEG, (thigh, shin), bent)
         well = jnp.where(_SECOND_LEG, well, of_knee & of_hip) & (least >= sound)
         well &= jnp.flip(well, _PART_AXIS)
@@ -279,7 +283,7 @@ def _position_rounds(
         return count + 1, hull, own, active & ~well
 
     def goes(carry: tuple) -> jax.Array:
-        return carry[-1].any() & (carry[0] < parts.POSITION_ROUNDS)
+        return carry[-1].any() & (carry[0] < constants.POSITION_ROUNDS)
 
     active = jnp.ones(like, bool)
     _, hull, own, _ = jax.lax.while_loop(goes, one, (0, hull, own, active))

@@ -1,0 +1,1 @@
+"""The walker in JAX beside Box2D's: states, returns, trained walkers."""

@@ -1,0 +1,1 @@
+"""What saved results say: statistics, tables, figures. Imports nothing but `results`."""

@@ -1,0 +1,302 @@
+"""The tables of a results folder: a row for each run, and what the seeds say about each method."""
+
+import csv
+import io
+import pathlib
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from hitl_jax.analysis import stats
+from hitl_jax.analysis.markdown import table_line
+from hitl_jax.results.atomic_files import write_text_atomic
+from hitl_jax.results.episode_measures import LOST_TESTS
+from hitl_jax.results.episode_tables import Table, select
+from hitl_jax.results.folder import ResultsFolder, Run
+
+STEPS_PER_SECOND = 50
+"""Of the walker's simulation."""
+
+WINDOW = 100
+"""Episodes in the trailing mean."""
+
+THRESHOLDS = (0, 100, 200, 300)
+"""Returns to be reached by the trailing mean; 300 is the task's own mark of "solved"."""
+
+PAIRS = (("hitl-ac", "hitl-fix"), ("hitl-fix", "srl"), ("hitl-ac", "srl"))
+"""(X, Y) of the probabilities that X improves on Y."""
+
+Row = dict[str, Any]
+"""One run's measures; None where there is no value."""
+
+SUMMARY_COLUMNS = (
+    "method",
+    "seed",
+    "episodes",
+    "env_steps",
+    "final_return_100",
+    "best_return_100",
+    *(f"{unit}_to_{mark}" for mark in THRESHOLDS for unit in ("episodes", "steps")),
+    "test_return_mean",
+    "test_return_std",
+    "test_fall_rate",
+    "assisted_return_mean",
+    "assisted_takeover_rate",
+    "assisted_interventions_per_episode",
+    "train_interventions",
+    "train_human_steps",
+    "alarm_agreement",
+    "alarm_precision",
+    "alarm_recall",
+    "alarm_lead_steps",
+    "alarm_lead_seconds",
+    "final_boundary",
+    "diverged",
+    "wall_seconds",
+)
+
+_MEASURES = (
+    ("test_return_mean", "autonomous test return", 1),
+    ("test_fall_rate", "autonomous test: share of episodes with a fall", 2),
+    ("assisted_return_mean", "assisted test return", 1),
+    ("assisted_takeover_rate", "assisted test: share of steps under the human", 4),
+    ("assisted_interventions_per_episode", "assisted test: interventions an episode", 2),
+    ("final_return_100", "training return, last 100 episodes", 1),
+    ("best_return_100", "training return, best 100 episodes in a row", 1),
+    ("env_steps", "training: environment steps", 0),
+    ("train_interventions", "training: interventions", 0),
+    ("train_human_steps", "training: steps under the human", 0),
+    ("alarm_agreement", "training: share of alarms that the human confirms", 2),
+    ("alarm_precision", "test: share of alarms that a fall follows within k steps", 2),
+    ("alarm_recall", "test: share of falls with an alarm in the k steps before", 2),
+    ("alarm_lead_seconds", "test: time from the first such alarm to the fall [s]", 2),
+    ("final_boundary", "boundary at the end of training", 3),
+    ("wall_seconds", "wall-clock time of the run [s]", 0),
+)
+"""(column, name, decimals) of the measures in summary.md."""
+
+_READING_GUIDE = """\
+Returns are the environment's own reward; the human's feedback is left out. The autonomous test has
+neither human nor arbiter, the assisted test has both. An interquartile mean leaves out the best and
+the worst quarter of the seeds (rounded down). Intervals come from resampling seeds: they speak of
+other seeds of this setting, not of other tasks, and with fewer than about five seeds they are too
+narrow; what is the same in all seeds gets no width, and one seed has no interval. "(n = 7)" marks a
+measure that only 7 of the finished seeds have, "–" one that none has. For alarms and falls, k is
+the window that the runs were recorded with. A probability of improvement of 0.5 is no difference,
+and an interval that holds 0.5 decides nothing."""
+
+
+def summarise(folder: ResultsFolder) -> tuple[Row, ...]:
+    """The measures of every finished run, keys `SUMMARY_COLUMNS`.
+
+    Raises:
+        ResultsError: if a run is damaged.
+    """
+    return tuple(summarise_run(run) for run in folder.load_all())
+
+
+def write_summary(folder: ResultsFolder, rng: np.random.Generator) -> list[pathlib.Path]:
+    """Writes summary.csv, a row for each finished run, and summary.md, the methods compared.
+
+    Args:
+        folder: the results.
+        rng: drawn from for the bootstrap intervals.
+
+    Returns:
+        The two files.
+
+    Raises:
+        ResultsError: if a run is damaged or a file cannot be written.
+    """
+    runs = folder.load_all()
+    rows = [summarise_run(run) for run in runs]
+    unfinished = Counter(key.method for key in folder.load_partials())
+    table, report = folder.path / "summary.csv", folder.path / "summary.md"
+    text = io.StringIO()
+    writer = csv.DictWriter(text, SUMMARY_COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text_atomic(table, text.getvalue())
+    write_text_atomic(report, _report(runs, unfinished, rng))
+    return [table, report]
+
+
+def skill_over_training(run: Run) -> tuple[np.ndarray, np.ndarray]:
+    """Mean autonomous test return at the points of training that were tested, the end last.
+
+    At every point over the same terrains: of the test at the end, the first episodes alone.
+
+    Args:
+        run: a finished run that was tested during training.
+
+    Returns:
+        Training episodes until then [P], and the mean returns [P].
+    """
+    trained, number = run.progress["trained"], run.progress["episode"]
+    points = np.unique(trained)
+    means = [run.progress["return"][trained == point].mean() for point in points]
+    end = select(run.tests, "mode", "autonomous")
+    last = end["return"][end["episode"] <= number.max()].mean()
+    return np.append(points, len(run.episodes["episode"])), np.array([*means, last])
+
+
+def summarise_run(run: Run) -> Row:
+    """The measures of one run, keys `SUMMARY_COLUMNS`."""
+    episodes, tests = run.episodes, run.tests
+    trailing = stats.trailing_mean(episodes["return"], WINDOW)
+    autonomous, assisted = select(tests, "mode", "autonomous"), select(tests, "mode", "assisted")
+    row: Row = {
+        "method": run.key.method,
+        "seed": run.key.seed,
+        "episodes": len(trailing),
+        "env_steps": _last(episodes["env_steps"]),
+        "final_return_100": _last(trailing),
+        # Before the window is full a trailing mean is of a lucky few; a short run has but its last.
+        "best_return_100": _value(np.max, trailing[min(WINDOW, len(trailing)) - 1 :]),
+        "test_return_mean": _value(np.mean, autonomous["return"]),
+        "test_return_std": _value(np.std, autonomous["return"]),
+        "test_fall_rate": _value(np.mean, autonomous["fall"]),
+        "assisted_return_mean": _value(np.mean, assisted["return"]),
+        "assisted_takeover_rate": _ratio(assisted["human_steps"], assisted["length"]),
+        "assisted_interventions_per_episode": _value(np.mean, assisted["interventions"]),
+        # What a run that diverged spared its human is no merit.
+        "train_interventions": None if run.diverged else episodes["interventions"].sum().item(),
+        "train_human_steps": None if run.diverged else episodes["human_steps"].sum().item(),
+        "alarm_agreement": _ratio(
+            episodes["true_alarms"], episodes["true_alarms"] + episodes["false_alarms"]
+        ),
+        "final_boundary": _known(_last(episodes["final_boundary"])),
+        "diverged": int(run.diverged),
+        "wall_seconds": run.info["wall_seconds"],
+    }
+    for mark in THRESHOLDS:
+        passage = stats.first_passage(trailing, mark, WINDOW)
+        row[f"episodes_to_{mark}"] = passage
+        row[f"steps_to_{mark}"] = steps_at(episodes, passage)
+    row |= _alarms_before_falls(autonomous)
+    return {name: row[name] for name in SUMMARY_COLUMNS}
+
+
+def steps_at(episodes: Table, passage: float | None) -> float | None:
+    """Environment steps at the end of the episode of a first passage; None or NaN as that is."""
+    if passage is None or np.isnan(passage):
+        return passage
+    return int(episodes["env_steps"][int(passage) - 1])
+
+
+def _alarms_before_falls(autonomous: Table) -> Row:
+    """How well alarms foretell falls where no human interferes: "falls within k steps" is truth."""
+    fallen = autonomous["fall"] == 1
+    lead = autonomous["lead_steps"][fallen]
+    warned = ~np.isnan(lead)
+    # Without an arbiter there are no alarms to judge: a recall of 0 would be a verdict.
+    judged = bool((~np.isnan(autonomous["mean_boundary"])).any())
+    steps = _value(np.mean, lead[warned])
+    return {
+        "alarm_precision": _ratio(autonomous["alarms_before_fall"], autonomous["alarms"]),
+        "alarm_recall": _value(np.mean, warned) if judged else None,
+        "alarm_lead_steps": steps,
+        "alarm_lead_seconds": None if steps is None else steps / STEPS_PER_SECOND,
+    }
+
+
+def _report(runs: list[Run], unfinished: Counter[str], rng: np.random.Generator) -> str:
+    rows = tuple(summarise_run(run) for run in runs)
+    finished = Counter(row["method"] for row in rows)
+    methods = list(finished)
+    lost = Counter({run.key: run.lost_tests for run in runs})
+    lines = ["# Summary", ""]
+    for m in finished | unfinished:
+        line = f"- {m}: seeds finished {finished[m]}, under way {unfinished[m]}"
+        if diverged := [str(row["seed"]) for row in rows if row["method"] == m and row["diverged"]]:
+            line += f"; diverged, counted as falling at once from there on: {', '.join(diverged)}"
+        if told := [f"seed {key.seed} has {n}" for key, n in (+lost).items() if key.method == m]:
+            line += f"; {LOST_TESTS}: {', '.join(told)}"
+        lines.append(line)
+    if not rows:
+        return "\n".join([*lines, "", "No run has finished yet: nothing to summarise.", ""])
+    lines += ["", _READING_GUIDE, ""]
+    estimators = (("Interquartile mean", stats.interquartile_mean), ("Mean", stats.mean))
+    for title, statistic in estimators:
+        lines += [f"## {title} over seeds [bootstrap 95 % interval]", ""]
+        lines += _table_head(["measure", *methods])
+        for column, name, decimals in _MEASURES:
+            cells = [_cell(_scores(rows, m, column), statistic, decimals, rng) for m in methods]
+            lines.append(table_line([name, *cells]))
+        lines.append("")
+    lines += ["## Until the mean of the last 100 training returns reaches a mark", ""]
+    lines += _table_head(["mark", *methods])
+    for mark in THRESHOLDS:
+        lines.append(table_line([str(mark), *(_passage(rows, m, mark) for m in methods)]))
+    lines += ["", "## Probability of improvement on the autonomous test return", ""]
+    lines += _table_head(["X over Y", "P(X > Y) [95 % interval]", "paired seeds"])
+    lines += [_improvement(rows, x, y, rng) for x, y in PAIRS]
+    return "\n".join([*lines, ""])
+
+
+def _scores(rows: tuple[Row, ...], method: str, column: str) -> list[float | None]:
+    return [row[column] for row in rows if row["method"] == method]
+
+
+def _cell(
+    scores: list[float | None],
+    statistic: stats.Statistic,
+    decimals: int,
+    rng: np.random.Generator,
+) -> str:
+    values = np.array([score for score in scores if score is not None], dtype=float)
+    if not values.size:
+        return "–"
+    text = f"{float(statistic(values, 0)):.{decimals}f}"
+    if values.size > 1:
+        low, high = stats.bootstrap_interval(values, statistic, rng)
+        text += f" [{low:.{decimals}f}, {high:.{decimals}f}]"
+    return text if values.size == len(scores) else f"{text} (n = {values.size})"
+
+
+def _passage(rows: tuple[Row, ...], method: str, mark: int) -> str:
+    """Medians with "never" as infinity, so that seeds that fail count against the method."""
+    medians = []
+    for unit in ("episodes", "steps"):
+        scores = _scores(rows, method, f"{unit}_to_{mark}")
+        medians.append(np.median([np.inf if score is None else score for score in scores]))
+    reached = sum(score is not None for score in scores)
+    share = f"{reached} of {len(scores)} seeds"
+    if np.isinf(medians[0]):
+        return share
+    return f"{share}; median episode {medians[0]:.0f}, step {medians[1]:.0f}"
+
+
+def _improvement(rows: tuple[Row, ...], x: str, y: str, rng: np.random.Generator) -> str:
+    scores = {(row["method"], row["seed"]): row["test_return_mean"] for row in rows}
+    seeds = sorted({row["seed"] for row in rows})
+    pairs = [(scores.get((x, seed)), scores.get((y, seed))) for seed in seeds]
+    paired = np.array([pair for pair in pairs if None not in pair], dtype=float).reshape(-1, 2)
+    cell = "–"
+    if len(paired):
+        p, low, high = stats.probability_of_improvement(paired[:, 0], paired[:, 1], rng)
+        cell = f"{p:.2f}" + (f" [{low:.2f}, {high:.2f}]" if len(paired) > 1 else "")
+    return table_line([f"{x} over {y}", cell, str(len(paired))])
+
+
+def _table_head(cells: list[str]) -> list[str]:
+    return [table_line(cells), table_line(["---"] * len(cells))]
+
+
+def _value(statistic: Any, values: np.ndarray) -> float | None:
+    return float(statistic(values)) if len(values) else None
+
+
+def _ratio(part: np.ndarray, whole: np.ndarray) -> float | None:
+    total = float(whole.sum())
+    return float(part.sum()) / total if total else None
+
+
+def _last(values: np.ndarray) -> Any:
+    return values[-1].item() if len(values) else None
+
+
+def _known(value: Any) -> Any:
+    """None for the NaN that stands in a table where there is no boundary."""
+    return None if value != value else value  # NaN alone differs from itself.

@@ -1,1 +1,0 @@
-"""Parts of `hitl-jax agreement`."""

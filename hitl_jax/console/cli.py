@@ -1,0 +1,109 @@
+"""Command lines: a dataclass of options in, one clear line and exit code 2 for bad input."""
+
+import contextlib
+import io
+import itertools
+import os
+import sys
+import typing
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar
+
+import tyro
+
+from hitl_jax.analysis.figure_style import Drawn
+from hitl_jax.errors import BadInput, LaunchError, ResultsError, WalkerError
+
+T = TypeVar("T")
+
+
+def run_main(name: str, main: Callable[[Any], int], args: Sequence[str]) -> int:
+    """Parses the command line and runs `main`.
+
+    Bad input is one line on stderr and exit code 2. So is, with exit code 1, what the system
+    refuses in mid-work; what a walker's process died of is followed by the end of its log.
+
+    Args:
+        name: of the command.
+        main: does the work and returns an exit code; may raise BadInput. The type of its argument
+            is a dataclass of options.
+        args: the words after the command's name.
+    """
+    try:
+        options = typing.get_type_hints(main)["options"]
+        return main(parse(options, args, f"hitl-jax {name}"))
+    except BadInput as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except (ResultsError, WalkerError, LaunchError) as error:
+        print("\n".join([f"error: {error}", *getattr(error, "__notes__", [])]), file=sys.stderr)
+        return 1
+    except OSError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("\nStopped at once.", file=sys.stderr)
+        return 130
+
+
+def print_drawn(drawn: Drawn) -> int:
+    """Tells what was drawn and what not; the exit code, 1 if a figure could not be drawn."""
+    for line in drawn.lines:
+        print(line)
+    return 1 if drawn.failures else 0
+
+
+@contextlib.contextmanager
+def checking_input() -> Iterator[None]:
+    """Turns what the library says of a bad value into BadInput; only for checks, not for work."""
+    try:
+        yield
+    except (ValueError, ImportError) as error:
+        raise BadInput(" ".join(str(error).split())) from error
+
+
+def parse(options: type[T], args: Sequence[str], prog: str = "hitl-jax") -> T:
+    """The options of a command line.
+
+    tyro explains a bad command line in a framed box; this says the same in one line. The box is
+    made once more for that, so wide that nothing in it is cut, and plain whatever the terminal is.
+
+    Raises:
+        BadInput: what is wrong, in one line.
+    """
+    try:
+        with contextlib.redirect_stderr(io.StringIO()), checking_input():
+            return tyro.cli(options, args=args, prog=prog)
+    except SystemExit as stop:
+        if stop.code in (0, None):
+            raise
+    said = io.StringIO()
+    no_terminal = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # Its encoding frames the box.
+    with (
+        _terminal_width(10**6),
+        contextlib.redirect_stdout(no_terminal),
+        contextlib.redirect_stderr(said),
+        contextlib.suppress(SystemExit),
+    ):
+        tyro.cli(options, args=args, prog=prog)
+    raise BadInput(_one_line(said.getvalue()))
+
+
+@contextlib.contextmanager
+def _terminal_width(columns: int) -> Iterator[None]:
+    """What `shutil.get_terminal_size` tells within a `with`."""
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = str(columns)
+    try:
+        yield
+    finally:
+        os.environ.pop("COLUMNS")
+        if before is not None:
+            os.environ["COLUMNS"] = before
+
+
+def _one_line(box: str) -> str:
+    """The message of tyro's box: what stands above its first rule, without the frame."""
+    lines = [line.removeprefix("│ ").removesuffix("│").strip() for line in box.splitlines()]
+    message = itertools.takewhile(lambda line: set(line) != {"─"}, lines[1:])
+    return " ".join(line for line in message if line)

@@ -1,0 +1,41 @@
+"""The simulated human: what they see, how they judge it, and what they do with the controls."""
+
+from hitl_jax.human.judgement import (
+    DANGER_MODELS,
+    MAX_DELAY,
+    UNLIMITED,
+    Attention,
+    HumanParams,
+    HumanPart,
+    attentive,
+    chain,
+    delayed,
+    lapsing,
+    mistaken,
+    outcome_dangerous,
+    predictive,
+    recorded,
+    simulated_human,
+    threshold,
+    validate_human_params,
+)
+
+__all__ = [
+    "DANGER_MODELS",
+    "MAX_DELAY",
+    "UNLIMITED",
+    "Attention",
+    "HumanParams",
+    "HumanPart",
+    "attentive",
+    "chain",
+    "delayed",
+    "lapsing",
+    "mistaken",
+    "outcome_dangerous",
+    "predictive",
+    "recorded",
+    "simulated_human",
+    "threshold",
+    "validate_human_params",
+]

@@ -1,0 +1,128 @@
+"""The learner of one live run: it learns from each chunk while the next one is played."""
+
+import dataclasses
+import functools
+import math
+from collections import deque
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from hitl_jax.config import RunHyper
+from hitl_jax.learner import replay
+from hitl_jax.team import agent as agents
+from hitl_jax.team.agent import Agent
+from hitl_jax.training.run_spec import LoopConfig
+from hitl_jax.types import Behavior, TrainState
+from hitl_jax.xla.devices import learning_devices
+
+LAG = 1
+"""Calls of the learner that may be under way while the walker plays. As in a sweep the lag is part
+of what a run is, so that a session's numbers do not tell how fast the machine was."""
+
+
+_SMALLEST = 16
+"""Frames of the smallest correction that is compiled."""
+
+
+class Learning:
+    """The training state of one run, its replay, and the parameters that act meanwhile.
+
+    Attributes:
+        updates: of the task learner so far.
+    """
+
+    def __init__(self, agent: Agent, hyper: RunHyper, loop: LoopConfig, train: TrainState):
+        """Places everything on the first learning device.
+
+        Args:
+            agent: the team.
+            hyper: the run's hyperparameters, typed host scalars.
+            loop: how much it learns.
+            train: the training state at the start.
+        """
+        self._agent, self._loop = agent, loop
+        self._num_updates = loop.num_updates(agent.config.task_learner.policy_delay)
+        memory = replay.init(loop.frames, 1, agent.layout)
+        device = learning_devices()[0]
+        self._train, self._memory, self._hyper = jax.device_put((train, memory, hyper), device)
+        first, self._unravel = ravel_pytree(agents.behavior(train))
+        self._behavior: deque[jax.Array] = deque([first] * (LAG + 1))
+        self.updates = 0
+
+    @property
+    def behavior(self) -> Behavior:
+        """The parameters that act in this chunk, on the host; waits for the learner."""
+        flat = jnp.asarray(np.asarray(self._behavior[0]))  # Not a program of the learner's device.
+        acts: Behavior = jax.tree.map(np.asarray, self._unravel(flat))
+        return acts
+
+    def train(self) -> TrainState:
+        """The training state without its key; waits for the learner."""
+        state: TrainState = jax.device_get(dataclasses.replace(self._train, key=None))
+        return state
+
+    def end_chunk(self, frames: np.ndarray, learns: bool) -> None:
+        """Hands over a chunk, and goes on to the next parameters; does not wait.
+
+        Args:
+            frames: what happened, [U, W].
+            learns: whether to learn from the replay now.
+        """
+        self._memory = _add(self._memory, frames[None])
+        learned = self._behavior[-1]
+        if learns:
+            self._train, learned = self._learn(self._train, self._memory)
+            self.updates += self._num_updates
+        self._behavior.append(learned)
+        self._behavior.popleft()
+
+    def correct(self, places: np.ndarray, outcome: np.ndarray) -> None:
+        """Replaces what is stored of frames from the reward on.
+
+        Args:
+            places: in the ring, int [K].
+            outcome: [K, 7].
+        """
+        # Few sizes, since each is compiled; places past the ring's end are nobody's.
+        size = _SMALLEST * 4 ** max(math.ceil(math.log(len(places) / _SMALLEST, 4)), 0)
+        at = np.full(size, self._loop.frames, np.int32)
+        rows = np.zeros((size, outcome.shape[1]), np.float32)
+        at[: len(places)], rows[: len(places)] = places, outcome
+        self._memory = _correct(self._memory, at, rows)
+
+    def stored(self) -> np.ndarray:
+        """All frames of the ring, [T, W]; waits for the learner."""
+        return np.concatenate([self._memory.seen[0], self._memory.outcome[0]], axis=1)
+
+    def compile(self) -> None:
+        """Compiles what learning would else stop for; nothing is learned or stored."""
+        memory = jax.tree.map(jnp.copy, self._memory)
+        shape = (1, self._loop.chunk, memory.seen.shape[2] + memory.outcome.shape[2])
+        memory = _add(memory, np.zeros(shape, np.float32))
+        self._learn(jax.tree.map(jnp.copy, self._train), memory)
+        at = np.full(_SMALLEST, self._loop.frames, np.int32)
+        _correct(memory, at, np.zeros((_SMALLEST, memory.outcome.shape[2]), np.float32))
+
+    def _learn(self, train: TrainState, memory: replay.Replay) -> tuple[TrainState, jax.Array]:
+        return _learn(self._agent, self._num_updates, train, memory, self._hyper)
+
+
+_add = jax.jit(replay.add, donate_argnums=0)
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1), donate_argnums=2)
+def _learn(
+    agent: Agent, num_updates: int, train: TrainState, memory: replay.Replay, hyper: RunHyper
+) -> tuple[TrainState, jax.Array]:
+    """The training state after a call of the learner, and what acts of it in one array."""
+    train = agents.learn(agent, hyper, train, memory, jnp.int32(0), num_updates)
+    return train, ravel_pytree(agents.behavior(train))[0]
+
+
+@functools.partial(jax.jit, donate_argnums=0)
+def _correct(memory: replay.Replay, places: jax.Array, rows: jax.Array) -> replay.Replay:
+    outcome = memory.outcome.at[0, places].set(rows, mode="drop")
+    return dataclasses.replace(memory, outcome=outcome)

@@ -1,0 +1,1 @@
+"""Episodes of a results folder played again, and films of them."""

@@ -1,0 +1,143 @@
+"""Episodes of a results folder, played again: recorded ones from their actions, tests anew."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hitl_jax.envs import WalkerPool, require_backend
+from hitl_jax.envs.episode_log import playback
+from hitl_jax.errors import ResultsError
+from hitl_jax.evaluation.host import Evaluator, evaluate_policies
+from hitl_jax.evaluation.trials import Mode
+from hitl_jax.playback.load_trained import load_trained
+from hitl_jax.results.config_diff import changes
+from hitl_jax.results.episode_measures import Row
+from hitl_jax.results.folder import ResultsFolder, Run
+from hitl_jax.results.provenance import origin
+from hitl_jax.results.recorded_episodes import Recording
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.team.agent import Agent
+from hitl_jax.training.run_spec import episode_seed
+from hitl_jax.training.step_booking import recorded_steps
+
+
+class PlayedTest(NamedTuple):
+    """A test episode, played again.
+
+    Attributes:
+        row: what it brought now.
+        seed: its reset seed.
+        episode: its steps.
+    """
+
+    row: Row
+    seed: int
+    episode: Recording
+
+
+def training_seed(key: RunKey, episode: int) -> int:
+    """Reset seed of a training episode, counted from 1."""
+    return episode_seed(key.method, key.seed, episode - 1)
+
+
+def returns_of(
+    pool: WalkerPool, episodes: Mapping[int, np.ndarray], seeds: np.ndarray
+) -> list[float]:
+    """Plays episodes again, side by side; what the environment gave for each.
+
+    Args:
+        pool: of seedable walkers.
+        episodes: actions by walker, [T, A] each.
+        seeds: reset seed of each walker, uint32 [N].
+    """
+    totals = [0.0] * pool.num_walkers
+    for command, action in playback(pool.num_walkers, episodes):
+        reward = pool.step(command, action, seeds).reward
+        totals = [total + float(more) for total, more in zip(totals, reward, strict=True)]
+    return [totals[walker] for walker in episodes]
+
+
+def play_tests(
+    agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunKey, mode: Mode
+) -> list[PlayedTest]:
+    """Plays a run's tests once more, from its parameters.
+
+    Args:
+        agent: the team.
+        evaluator: with as many walkers as the tests had episodes.
+        folder: the results.
+        key: the run.
+        mode: which tests.
+
+    Raises:
+        ResultsError: if the run is not there, or is not of this program.
+    """
+    spec, end = load_trained(agent, folder, key)
+    seen: list[np.ndarray] = []
+
+    def watch(decided: np.ndarray, active: np.ndarray) -> None:
+        del active  # the rows tell how long each episode was
+        seen.append(recorded_steps(decided, agent.layout, spec.hyper))
+
+    rows = evaluate_policies(evaluator, mode, spec, [end], watch)
+    steps = np.stack(seen, axis=1)
+    return [
+        PlayedTest(
+            row,
+            episode_seed("test", key.seed, place),
+            Recording(place + 1, steps[place, : row["length"]]),
+        )
+        for place, row in enumerate(rows)
+    ]
+
+
+def playing_backend(folder: ResultsFolder) -> str:
+    """On which backend episodes of a folder are played again.
+
+    Raises:
+        ResultsError: in one line, if that cannot be had here.
+    """
+    made = folder.load_config().get("backend")
+    backend = "jax" if made == "jax" else "lean"  # Which equals gymnasium's, and is the quicker.
+    try:
+        require_backend(backend)
+    except ImportError as error:
+        raise ResultsError(f"{folder.path}: made with --backend {made}: {error}") from error
+    return backend
+
+
+def tell_differences(folder: ResultsFolder, keys: Iterable[RunKey]) -> None:
+    """Prints one line if runs were made with other versions, or on another processor.
+
+    Raises:
+        ResultsError: if a run is damaged.
+    """
+    now = origin()
+    every = [line for key in keys for line in changes(_made(folder.load_run(key)), now)]
+    if every:
+        print(
+            f"{folder.path} was made with {'; '.join(dict.fromkeys(every))}: "
+            "numbers can differ by rounding, and a walker's fate with them",
+            flush=True,
+        )
+
+
+def _made(run: Run) -> dict[str, Any]:
+    """What a run's numbers depended on, as `origin` has it."""
+    made = {name: run.info[name] for name in ("versions", "commit")}
+    if "machine" in run.info:  # The processor, and the number of its cores.
+        made["processor"] = run.info["machine"].rpartition(", ")[0]
+    return made
+
+
+def require_repeatable(folder: ResultsFolder) -> None:
+    """Refuses results whose episodes cannot be had again.
+
+    Raises:
+        ResultsError: in one line.
+    """
+    if folder.load_config().get("backend") == "envpool":
+        raise ResultsError(
+            f"{folder.path}: made with --backend envpool, whose episodes cannot be played again"
+        )

@@ -1,0 +1,98 @@
+"""Walkers of a results folder as they were when training ended."""
+
+from typing import TypeVar
+
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, validate_hyper
+from hitl_jax.errors import ResultsError
+from hitl_jax.results.atomic_files import named_errors
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.json_documents import options_of
+from hitl_jax.results.run_key import RunKey, sort_keys
+from hitl_jax.sweep import recorded_human
+from hitl_jax.sweep.train_and_test import make_team, policy_digest
+from hitl_jax.team import checkpoint
+from hitl_jax.team.agent import Agent
+from hitl_jax.training.run_spec import RunSpec, Snapshot
+from hitl_jax.types import Behavior
+
+T = TypeVar("T")
+
+
+def agent_of(folder: ResultsFolder, human_policy: str | None = None) -> Agent:
+    """The team that was trained.
+
+    Args:
+        folder: the results.
+        human_policy: the `params.npz` that gave the human's actions; None is the scripted walker.
+
+    Raises:
+        ResultsError: if the folder was not written by this program.
+        ValueError: if the file is no such checkpoint.
+    """
+    config = section_of(folder, "agent", AgentConfig)
+    return make_team(config, human_policy, recorded_human.kept(folder))
+
+
+def require_same_human(folder: ResultsFolder, human_policy: str | None) -> None:
+    """Refuses another source of the human's actions than the results were made with.
+
+    Raises:
+        ValueError: one line naming the option.
+    """
+    asked, has = policy_digest(human_policy), folder.load_config().get("human_policy")
+    if asked != has:
+        raise ValueError(
+            f"--human-policy {human_policy}: {folder.path} was made with "
+            f"{'the scripted walker' if has is None else f'a file of {has}'}"
+        )
+
+
+def able_to_play(folder: ResultsFolder) -> list[RunKey]:
+    """The finished runs less those that diverged, which are named in a printed line.
+
+    Raises:
+        ResultsError: if a run is damaged.
+    """
+    keys = sort_keys(folder.finished())
+    lost = [key for key in keys if folder.load_run(key).diverged]
+    if lost:
+        print(f"diverged, left out: {', '.join(map(str, lost))}", flush=True)
+    return [key for key in keys if key not in lost]
+
+
+def load_trained(agent: Agent, folder: ResultsFolder, key: RunKey) -> tuple[RunSpec, Snapshot]:
+    """A finished run and what acts at its end.
+
+    Args:
+        agent: the team of `agent_of`.
+        folder: the results.
+        key: the run.
+
+    Raises:
+        ResultsError: if the run is not there, or is not of this program.
+    """
+    hyper = section_of(folder, "hyper", Hyper)
+    arrays = folder.load_params(key)
+    with named_errors(folder.path):
+        validate_hyper(hyper)
+        method = Method(key.method)
+    with named_errors(folder.run_path(key) / "params.npz"):
+        params = checkpoint.networks_of(agent, arrays)
+    acts = Behavior(actor=params["actor"], boundary_actor=params["boundary_actor"])
+    spec = RunSpec(method, key.seed, hyper_for(method, hyper), folder.load_config()["episodes"])
+    return spec, Snapshot(spec.episodes, acts, params["boundary"])
+
+
+def section_of(folder: ResultsFolder, name: str, kind: type[T]) -> T:
+    """A part of config.json as the options that it was written from.
+
+    Raises:
+        ResultsError: if it is not there, or no such options.
+    """
+    config = folder.load_config()
+    section = config.get(name)
+    for has, what in ((isinstance(section, dict), name), ("episodes" in config, "episodes")):
+        if not has:
+            raise ResultsError(f"{folder.path}: config.json has no {what!r}: not of a sweep")
+    with named_errors(folder.path / "config.json"):
+        return options_of(section, kind)

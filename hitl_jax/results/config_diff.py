@@ -1,0 +1,102 @@
+"""How what a results folder was made with differs from what is asked for."""
+
+import json
+import pathlib
+from typing import Any
+
+from hitl_jax.errors import ResultsError
+from hitl_jax.results.provenance import short_commit
+
+_MAX_DIFFERENCES = 5
+_LONGEST = 100
+_THEN = ", then "
+
+CAME_LATER: dict[str, dict[str, Any]] = {"agent": {"matmul_precision": "float32"}}
+"""Choices added since results were kept, by section, and the value that changes nothing."""
+
+
+class ConfigMismatch(ResultsError):
+    """A results folder that was made with another config."""
+
+
+def flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A nested dict as one level, with dots in the keys; an empty dict is a value."""
+    flat: dict[str, Any] = {}
+    for name, value in tree.items():
+        if isinstance(value, dict) and value:
+            flat |= flatten(value, f"{prefix}{name}.")
+        else:
+            flat[prefix + name] = value
+    return flat
+
+
+def completed(config: dict[str, Any]) -> dict[str, Any]:
+    """A config that an earlier commit may have written, with the choices that came later."""
+    whole = dict(config)
+    for section, choices in CAME_LATER.items():
+        has = config.get(section)
+        if isinstance(has, dict):
+            whole[section] = has | {k: v for k, v in choices.items() if k not in has}
+    return whole
+
+
+def require_same(path: pathlib.Path, has: dict[str, Any], asked: dict[str, Any]) -> None:
+    """Makes sure that a folder was made with what is asked for.
+
+    Args:
+        path: the folder.
+        has: what it was made with, a nested dict of what JSON can hold.
+        asked: what is asked for.
+
+    Raises:
+        ConfigMismatch: naming the first differences.
+    """
+    old, new, nothing = flatten(has), flatten(asked), object()
+    keys = [k for k in old | new if old.get(k, nothing) != new.get(k, nothing)]
+    if not keys:
+        return
+    lines = [
+        f"{k[:_LONGEST]}: folder has {_shown(old, k)}, asked for {_shown(new, k)}"
+        for k in sorted(keys)
+    ]
+    more = [f"and {len(lines) - _MAX_DIFFERENCES} more"] * (len(lines) > _MAX_DIFFERENCES)
+    shown = "; ".join(lines[:_MAX_DIFFERENCES] + more)
+    raise ConfigMismatch(f"{path}: made with another config: {shown}")
+
+
+def _shown(values: dict[str, Any], name: str) -> str:
+    return json.dumps(values[name])[:_LONGEST] if name in values else "nothing"
+
+
+def changes(made: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """Differences between what made something and what is here now, a few words each.
+
+    Args:
+        made: `versions` by package, `commit` and `processor`; what it lacks is not compared.
+        now: likewise, nothing lacking that `made` has.
+    """
+    old, new = _named(made), _named(now)
+    return [
+        f"{name} {value or 'unknown'}, now {new.get(name) or 'none'}"
+        for name, value in old.items()
+        if value != new.get(name)
+    ]
+
+
+def joined(earlier: dict[str, str], now: dict[str, str]) -> dict[str, str]:
+    """Versions of what was made in several sittings, by package: all of them, in their order."""
+    if not earlier:
+        return now
+    whole = {}
+    for name in earlier | now:
+        before, value = earlier.get(name, "none"), now.get(name, "none")
+        whole[name] = before if before.split(_THEN)[-1] == value else before + _THEN + value
+    return whole
+
+
+def _named(source: dict[str, Any]) -> dict[str, Any]:
+    """Commit, processor and versions on one level."""
+    named = {name: source[name] for name in ("commit", "processor") if name in source}
+    if "commit" in named:
+        named["commit"] = short_commit(named["commit"])
+    return named | source.get("versions", {})

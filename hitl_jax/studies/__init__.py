@@ -1,0 +1,1 @@
+"""Comparisons of settings: ablations of the team, and tuning of the learner."""

@@ -1,0 +1,191 @@
+"""What each ablation compares."""
+
+import dataclasses
+
+from hitl_jax.config import Method
+from hitl_jax.studies.changes import Changes
+
+_AC = (Method.HITL_AC,)
+_HUMAN = (Method.HITL_FIX, Method.HITL_AC)
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """One row of a table.
+
+    Attributes:
+        label: its name in table and figure.
+        changes: of the defaults.
+        methods: which methods are run with it.
+    """
+
+    label: str
+    changes: Changes = dataclasses.field(default_factory=dict)
+    methods: tuple[Method, ...] = _AC
+
+    @property
+    def name(self) -> str:
+        """What it changes, in one canonical line: equal settings of two ablations are run once."""
+        return " ".join(f"{name}={value}" for name, value in sorted(self.changes.items()))
+
+
+@dataclasses.dataclass(frozen=True)
+class Ablation:
+    """One table.
+
+    Attributes:
+        title: what is taken apart.
+        settings: its rows.
+        is_number: whether the settings are values of one number, with which their labels begin;
+            the figure then has curves over it.
+    """
+
+    title: str
+    settings: tuple[Setting, ...]
+    is_number: bool = False
+
+
+def _each(option: str, values: tuple[float, ...], methods: tuple[Method, ...]) -> list[Setting]:
+    return [Setting(f"{value:g}", {option: value}, methods) for value in values]
+
+
+_TRAINED = "results/ten_seeds/runs/hitl-fix/seed-0009/params.npz"
+
+_TAKEOVER: Changes = {"intervention": "takeover"}
+_NETWORK: Changes = {"boundary_source": "network"}
+_RESIDUAL: Changes = {"boundary_source": "residual"}
+
+_BUDGET = 0.0024
+"""Interventions per step of HITL-AC in its first 300 episodes (results/ten_seeds)."""
+
+_RANDOM: Changes = {
+    "boundary_low": 0.0,
+    "initial_boundary": 0.0,  # an alarm at every step
+    "tolerance": 1000.0,  # no state is dangerous
+    "mistake_rate": _BUDGET,
+}
+"""A human who intervenes at random."""
+
+ABLATIONS: dict[str, Ablation] = {
+    "methods": Ablation(
+        "The three methods",
+        (Setting("defaults", methods=tuple(Method)),),
+    ),
+    "intervention": Ablation(
+        "What an intervention does",
+        (
+            Setting("reset, terminal (default)"),
+            Setting("reset, truncated", {"human_reset_terminates": False}),
+            Setting("takeover", _TAKEOVER),
+            Setting("takeover, noisy hands", _TAKEOVER | {"human_action_noise": 0.3}),
+            Setting("takeover, trained hands", _TAKEOVER | {"human_policy": _TRAINED}),
+            Setting("penalty", {"intervention": "penalty"}),
+        ),
+    ),
+    "exploration": Ablation(
+        "Standard deviation of the exploration noise",
+        (
+            *_each("exploration_noise", (0.1, 0.2), tuple(Method)),
+            Setting("0.3 (default)", methods=tuple(Method)),
+        ),
+        is_number=True,
+    ),
+    "feedback": Ablation(
+        "The human's feedback r(s, a^h)",
+        (
+            Setting("0", {"feedback": 0.0}),
+            Setting("-5", {"feedback": -5.0}),
+            Setting("-20 (default)"),
+            Setting("-100", {"feedback": -100.0}),
+            Setting("-20, takeover, each step", _TAKEOVER),
+            Setting("-20, takeover, once", _TAKEOVER | {"feedback_schedule": "episode"}),
+        ),
+    ),
+    "source": Ablation(
+        "How the network and the Δ rule make the boundary",
+        (
+            Setting("rule (default)"),
+            Setting("network", _NETWORK),
+            Setting("network, ρ = 0", _NETWORK | {"alarm_reward": 0.0}),
+            Setting("network, ρ = 10", _NETWORK | {"alarm_reward": 10.0}),
+            Setting("residual", _RESIDUAL),
+            Setting("residual, ρ = 0", _RESIDUAL | {"alarm_reward": 0.0}),
+        ),
+    ),
+    "delta": Ablation(
+        "The steps of the boundary [rad]",
+        (
+            Setting("Δ = 0.0001", {"delta_minus": 1e-4, "delta_plus": 1e-4}),
+            Setting("Δ = 0.001 (default)"),
+            Setting("Δ = 0.01", {"delta_minus": 1e-2, "delta_plus": 1e-2}),
+            Setting("Δ⁻ = 0.003, Δ⁺ = 0.001", {"delta_minus": 3e-3}),
+            Setting("Δ⁻ = 0.001, Δ⁺ = 0.003", {"delta_plus": 3e-3}),
+        ),
+    ),
+    "initial-boundary": Ablation(
+        "τ_0 [rad]",
+        (
+            *_each("initial_boundary", (0.2, 0.45), _HUMAN),
+            Setting("0.7 (default)", methods=_HUMAN),
+            *_each("initial_boundary", (1.0, 1.4), _HUMAN),
+        ),
+        is_number=True,
+    ),
+    "indicator": Ablation(
+        "The safety indicator",
+        (
+            Setting("hull angle (default)"),
+            Setting("weighted: the angle in 0.1 s", {"indicator": "weighted"}),
+            Setting(
+                "weighted; the human looks 0.1 s ahead",
+                {"indicator": "weighted", "danger": "predictive", "horizon": 0.1},
+            ),
+        ),
+    ),
+    "human-tolerance": Ablation(
+        "The human's threshold of danger [rad]",
+        (
+            *_each("tolerance", (0.3,), _AC),
+            Setting("0.45 (default)"),
+            *_each("tolerance", (0.6, 0.8), _AC),
+        ),
+        is_number=True,
+    ),
+    "human-delay": Ablation(
+        "The human's reaction delay [steps of 0.02 s]",
+        (
+            Setting("0 (default)", methods=_HUMAN),
+            *_each("delay", (10, 25), _HUMAN),
+        ),
+        is_number=True,
+    ),
+    "human-mistakes": Ablation(
+        "Share of wrong judgements",
+        (
+            Setting("0 (default)", methods=_HUMAN),
+            *_each("mistake_rate", (0.1, 0.3), _HUMAN),
+        ),
+        is_number=True,
+    ),
+    "human-attention": Ablation(
+        "Lapses and limited attention",
+        (
+            Setting("always there (default)", methods=_HUMAN),
+            Setting("misses 30 % of the steps", {"lapse_rate": 0.3}, _HUMAN),
+            Setting("at most 100 interventions", {"max_interventions": 100}, _HUMAN),
+            Setting("a rest of 500 steps", {"refractory_steps": 500}, _HUMAN),
+        ),
+    ),
+    "arbiter": Ablation(
+        "Other arbiters; quantile, PID and random are given the rate of HITL-AC",
+        (
+            Setting("Δ rule (default)"),
+            Setting("fixed", methods=(Method.HITL_FIX,)),
+            Setting("quantile", {"boundary_source": "quantile", "target_rate": _BUDGET}),
+            Setting("PID", {"boundary_source": "pid", "target_rate": _BUDGET}),
+            Setting("random", _RANDOM, (Method.HITL_FIX,)),
+            Setting("Δ rule, takeover", _TAKEOVER),
+            Setting("Δ rule, takeover, hysteresis", _TAKEOVER | {"release": "hysteresis"}),
+        ),
+    ),
+}

@@ -1,0 +1,136 @@
+"""What ablations have measured: one CSV, a line a run, whole whenever the process is killed."""
+
+import csv
+import dataclasses
+import hashlib
+import io
+import json
+import pathlib
+import re
+from typing import Any
+
+from hitl_jax.analysis.summary import SUMMARY_COLUMNS
+from hitl_jax.config import MOST_SEED
+from hitl_jax.results.atomic_files import named_errors, read_bytes, write_text_atomic
+from hitl_jax.results.config_diff import CAME_LATER
+from hitl_jax.results.episode_tables import cells_from_csv, finite
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.studies.changes import Parts
+from hitl_jax.sweep.train_and_test import policy_digest
+
+Row = dict[str, Any]
+"""One run; measures are float, or None where there is no value."""
+
+_MEASURES = tuple(name for name in SUMMARY_COLUMNS if name not in ("method", "seed"))
+_COLUMNS = ("setting", "method", "seed", "digest", "commit", *_MEASURES)
+
+
+@dataclasses.dataclass(frozen=True)
+class RunId:
+    """Which run a line is of.
+
+    Attributes:
+        setting: `Setting.name`.
+        method: which method.
+        seed: which seed.
+        digest: of all that defines the numbers, the defaults and the budget included.
+    """
+
+    setting: str
+    method: str
+    seed: int
+    digest: str
+
+    @property
+    def key(self) -> RunKey:
+        """Its name among runs that are trained side by side."""
+        return RunKey(self.method, self.seed, self.digest)
+
+
+def digest(parts: Parts, budget: dict[str, int]) -> str:
+    """Twelve digits that differ when options or budget do.
+
+    A choice that came later counts only where it changes something.
+    """
+    options = []
+    for name in ("agent", "loop", "hyper"):
+        later = CAME_LATER.get(name, {})
+        values = dataclasses.asdict(getattr(parts, name))
+        options.append({k: v for k, v in values.items() if k not in later or v != later[k]})
+    asked = [*options, policy_digest(parts.human_policy), budget]
+    return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:12]
+
+
+class Store:
+    """The runs of a file. Lines of other defaults or budgets stay in it, and are not looked at.
+
+    Args:
+        path: the file, there or not; it has one writer.
+    """
+
+    def __init__(self, path: pathlib.Path):
+        self.path = path
+        self._rows = _read(path)
+
+    def __contains__(self, run: RunId) -> bool:
+        return run in self._rows
+
+    def __getitem__(self, run: RunId) -> Row:
+        return self._rows[run]
+
+    def keys(self) -> set[RunKey]:
+        """The names of all its runs."""
+        return {run.key for run in self._rows}
+
+    def add(self, run: RunId, row: Row) -> None:
+        """Adds a run, and writes the file.
+
+        Raises:
+            ResultsError: if it cannot be written.
+        """
+        self._rows |= {run: row}
+        self.write()
+
+    def write(self) -> None:
+        """Writes the file."""
+        text = io.StringIO()
+        writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        ids = sorted(self._rows, key=dataclasses.astuple)
+        writer.writerows(dataclasses.asdict(run) | _plain(self._rows[run]) for run in ids)
+        write_text_atomic(self.path, text.getvalue())
+
+
+def _plain(row: Row) -> Row:
+    """Whole numbers without a point, so that what is read back is written as it was."""
+    whole = {name: int(x) for name, x in row.items() if isinstance(x, float) and x.is_integer()}
+    return row | whole
+
+
+def _read(path: pathlib.Path) -> dict[RunId, Row]:
+    if not path.exists():
+        return {}
+    with named_errors(path):
+        cells = cells_from_csv(read_bytes(path).decode(), _COLUMNS)
+        rows = [
+            _parse(dict(zip(cells, row, strict=True))) for row in zip(*cells.values(), strict=True)
+        ]
+        if len(runs := dict(rows)) < len(rows):
+            raise ValueError("a run is there twice")
+    return runs
+
+
+def _parse(line: dict[str, str]) -> tuple[RunId, Row]:
+    seed = line["seed"]
+    if not seed.isdecimal() or int(seed) > MOST_SEED or not line["setting"].isprintable():
+        raise ValueError(f"setting {line['setting'][:50]!r} seed {seed[:20]!r}: is no run's name")
+    run = RunId(line["setting"], line["method"], int(seed), line["digest"])
+    _ = run.key  # Refuses what is no method or no digest.
+    if not re.fullmatch(r"[0-9a-z+-]+", line["commit"]):
+        raise ValueError(f"commit {line['commit'][:50]!r}: is none")
+    measures = {
+        name: finite(name, [line[name]], True).item() if line[name] else None for name in _MEASURES
+    }
+    if measures["diverged"] not in (0.0, 1.0):
+        raise ValueError(f"setting {run.setting[:50]!r}: diverged must be 0 or 1")
+    return run, {"commit": line["commit"], **measures}

@@ -1,0 +1,80 @@
+"""An ablation as a table in Markdown."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hitl_jax.analysis import stats
+from hitl_jax.analysis.markdown import table
+from hitl_jax.studies.ablations.store import Row
+
+
+class Line(NamedTuple):
+    """One line of the table: a setting under one method.
+
+    Attributes:
+        label: the setting's.
+        method: the method.
+        runs: what its seeds measured.
+    """
+
+    label: str
+    method: str
+    runs: list[Row]
+
+    def values(self, measure: str) -> np.ndarray:
+        """Of the seeds that have one."""
+        return np.array([run[measure] for run in self.runs if run[measure] is not None])
+
+
+_MEASURES = (
+    ("env_steps", "steps", 0),
+    ("test_return_mean", "autonomous test return", 0),
+    ("test_fall_rate", "falls in it", 2),
+    ("assisted_return_mean", "assisted test return", 0),
+    ("assisted_takeover_rate", "steps under the human in it", 3),
+    ("train_interventions", "interventions", 0),
+    ("train_human_steps", "steps under the human", 0),
+    ("alarm_agreement", "alarms confirmed", 2),
+    ("final_boundary", "last boundary", 2),
+)
+"""(measure, heading, decimals)."""
+
+_GUIDE = """\
+Means over seeds [bootstrap 95 % interval], and the interquartile mean of the autonomous test return
+after them. Every run has the same number of training episodes; a human who resets early makes them
+short, so steps differ. A diverged run counts as falling at once from there on. "–": no seed has the
+measure."""
+
+
+def to_markdown(title: str, budget: str, lines: list[Line], rng: np.random.Generator) -> str:
+    """The table with its heading.
+
+    Args:
+        title: of the ablation.
+        budget: what every run had, in a few words.
+        lines: in their order.
+        rng: drawn from for the intervals.
+    """
+    head = ["setting", "method", "seeds", *(name for _, name, _ in _MEASURES)]
+    cells = [head]
+    for line in lines:
+        lost = sum(run["diverged"] for run in line.runs)
+        seeds = f"{len(line.runs)} ({lost:.0f} diverged)" if lost else str(len(line.runs))
+        row = [line.label, line.method, seeds]
+        cells.append([*row, *(_cell(line, *measure, rng) for measure in _MEASURES)])
+    return f"# {title}\n\n{budget}\n\n{_GUIDE}\n\n{table(cells)}"
+
+
+def _cell(line: Line, measure: str, name: str, decimals: int, rng: np.random.Generator) -> str:
+    del name
+    values = line.values(measure)
+    if not values.size:
+        return "–"
+    text = f"{values.mean():,.{decimals}f}"
+    if values.size > 1:
+        low, high = stats.bootstrap_interval(values, stats.mean, rng)
+        text += f" [{low:,.{decimals}f}, {high:,.{decimals}f}]"
+    if measure == "test_return_mean":
+        text += f"; {float(stats.interquartile_mean(values, 0)):,.{decimals}f}"
+    return text

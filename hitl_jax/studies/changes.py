@@ -1,0 +1,54 @@
+"""Configurations told by what they change of the defaults."""
+
+import dataclasses
+import pathlib
+from typing import Any, NamedTuple
+
+from hitl_jax.config import AgentConfig, Hyper, validate_hyper
+from hitl_jax.human.judgement import HumanParams
+from hitl_jax.training.run_spec import LoopConfig
+
+_ROOT = pathlib.Path(__file__).parents[2]
+
+Changes = dict[str, Any]
+"""Values by the names of the options; those of the human without `human.`."""
+
+
+class Parts(NamedTuple):
+    """All options that define a run's numbers, but for its method and seed.
+
+    Attributes:
+        agent: static choices.
+        loop: how much is played and learned.
+        hyper: traced hyperparameters.
+        human_policy: a `params.npz` whose actor gives a^h, from this repository's root on; None for
+            the scripted walker.
+    """
+
+    agent: AgentConfig
+    loop: LoopConfig
+    hyper: Hyper
+    human_policy: str | None
+
+
+def changed(changes: Changes) -> Parts:
+    """The defaults with some changes.
+
+    Raises:
+        ValueError: one line, if there is no such option or a value is not allowed.
+    """
+    used: set[str] = set()
+
+    def change(default: Any) -> Any:
+        names = {field.name for field in dataclasses.fields(default)} & changes.keys()
+        used.update(names)
+        return dataclasses.replace(default, **{name: changes[name] for name in names})
+
+    hyper = dataclasses.replace(change(Hyper()), human=change(HumanParams()))
+    validate_hyper(hyper)
+    policy = changes.get("human_policy")
+    policy = None if policy is None else str(_ROOT / policy)
+    parts = Parts(change(AgentConfig()), change(LoopConfig()), hyper, policy)
+    if unknown := changes.keys() - used - {"human_policy"}:
+        raise ValueError(f"{', '.join(sorted(unknown))}: no such option")
+    return parts

@@ -1,0 +1,191 @@
+"""The options of a sweep, with units and defaults."""
+
+import dataclasses
+import os
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from hitl_jax.config import (
+    AgentConfig,
+    Hyper,
+    Method,
+    hyper_for,
+    require,
+    require_seeds,
+    require_whole,
+    validate_hyper,
+)
+from hitl_jax.envs import BACKENDS
+from hitl_jax.evaluation.trials import MOST_TEST_EPISODES, milestones
+from hitl_jax.learner.replay import Layout
+from hitl_jax.sweep import recorded_human, shards
+from hitl_jax.sweep.autosave import SAVE_SECONDS
+from hitl_jax.sweep.launchers import LaunchOptions
+from hitl_jax.sweep.shards import Shard
+from hitl_jax.training.run_spec import LoopConfig, RunSpec, num_slots
+
+_MOST_WORKERS = 1024
+
+
+@dataclasses.dataclass(frozen=True)
+class Preset:
+    """How large a sweep is; an option of the same name goes before it."""
+
+    seeds: int
+    episodes: int
+    test_episodes: int
+
+
+PRESETS = {
+    "full": Preset(seeds=10, episodes=1000, test_episodes=100),
+    "quick": Preset(seeds=2, episodes=100, test_episodes=20),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepOptions:
+    """Train SRL, HITL-FIX and HITL-AC over a batch of seeds, test each walker, draw Figures 4-6.
+
+    Attributes:
+        preset: `full` is the paper's comparison (10 seeds, 1000 episodes, 100 test episodes);
+            `quick` is for looking around (2 seeds, 100 episodes, 20 test episodes, a few minutes).
+        methods: which of srl, hitl-fix, hitl-ac to run.
+        seeds: number of seeds for each method (default: the preset's).
+        first_seed: the first of them; the others follow.
+        episodes: training episodes of a run (default: the preset's).
+        test_episodes: test episodes of a run, alone and again with the human (default: the
+            preset's).
+        backend: `lean`, equal to gymnasium's walker bit for bit and twice as fast; `gymnasium`,
+            the official one; `envpool`, whose terrain cannot be seeded (needs the extra `fast`);
+            `jax`, our own, compiled, which agrees with them up to rounding (default: lean, or jax
+            where Box2D cannot be imported).
+        workers: processes that step walkers, or CPU devices with `jax` (default: one a core).
+        slots: runs at a time, at least two a core; the others wait. Each takes capacity x 140 bytes
+            of memory.
+        human: `simulated`, by the options below, or `recorded:FILE`, a person's judgements in a
+            live session (see `hitl-jax recorded`), played back step by step.
+        human_policy: a `params.npz` whose actor gives the human's actions (default: gymnasium's
+            scripted walker).
+        save_seconds: how often runs under way are saved [s]: what a killed process loses at most.
+        out: folder of the results. An interrupted sweep goes on in the same folder.
+        shard: of a sweep in parts, which to make: `3/16` is the third of sixteen. Each has a folder
+            of its own; `hitl-jax merge` makes one of them.
+        launch: where runs are made.
+        agent: static choices.
+        loop: how much a run plays and learns.
+        hyper: numbers that can differ from run to run.
+    """
+
+    preset: str = "full"
+    methods: tuple[str, ...] = tuple(Method)
+    seeds: int | None = None
+    first_seed: int = 0
+    episodes: int | None = None
+    test_episodes: int | None = None
+    backend: str | None = None
+    workers: int | None = None
+    slots: int = 32
+    human: str = recorded_human.SIMULATED
+    human_policy: str | None = None
+    save_seconds: float = SAVE_SECONDS
+    out: str = "runs/sweep"
+    shard: str | None = None
+    launch: Annotated[LaunchOptions, tyro.conf.arg(name="")] = LaunchOptions()
+    agent: Annotated[AgentConfig, tyro.conf.arg(name="")] = AgentConfig()
+    loop: Annotated[LoopConfig, tyro.conf.arg(name="")] = LoopConfig()
+    hyper: Annotated[Hyper, tyro.conf.arg(name="")] = Hyper()
+
+    def scale(self) -> Preset:
+        """The preset, with what the options say in place of it."""
+        names = [field.name for field in dataclasses.fields(Preset)]
+        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return dataclasses.replace(PRESETS[self.preset], **given)
+
+    def specs(self) -> list[RunSpec]:
+        """The runs, seed after seed: what there is at any time is a fair comparison."""
+        scale = self.scale()
+        snapshots = milestones(scale.episodes)
+        specs = [
+            RunSpec(method, seed, hyper_for(method, self.hyper), scale.episodes, snapshots)
+            for seed in range(self.first_seed, self.first_seed + scale.seeds)
+            for method in map(Method, self.methods)
+        ]
+        part = self.part()
+        return specs if part is None else part.part(specs)
+
+    def part(self) -> Shard | None:
+        """The shard that is asked for; None for all of the sweep."""
+        if self.shard is None:
+            return None
+        number, of = shards.parse(self.shard)
+        return Shard(number, of, list(self.methods), self.first_seed, self.scale().seeds)
+
+    def checked(self) -> "SweepOptions":
+        """Checks everything that can be checked before work starts; returns itself.
+
+        Raises:
+            ValueError: one line with the option, the value and what is allowed.
+        """
+        if self.preset not in PRESETS:
+            raise ValueError(f"--preset {self.preset}: must be one of {', '.join(PRESETS)}")
+        if self.backend is not None and self.backend not in BACKENDS:
+            raise ValueError(f"--backend {self.backend}: must be one of {', '.join(BACKENDS)}")
+        known = list(Method)
+        if not self.methods or any(method not in known for method in self.methods):
+            given = " ".join(self.methods) or "(none)"
+            raise ValueError(f"--methods {given}: must be some of {', '.join(known)}")
+        if len(set(self.methods)) < len(self.methods):
+            raise ValueError(f"--methods {' '.join(self.methods)}: each at most once")
+        scale = self.scale()
+        require_seeds(self.first_seed, scale.seeds)
+        require_whole("episodes", scale.episodes, at_least=1)
+        require_whole("test_episodes", scale.test_episodes, 1, MOST_TEST_EPISODES)
+        require_whole("slots", self.slots, at_least=1)
+        if self.workers is not None:
+            require_whole("workers", self.workers, 1, _MOST_WORKERS)
+        require("save_seconds", self.save_seconds, at_least=0.0)
+        self.launch.checked()
+        if not self.specs():
+            runs = len(self.methods) * scale.seeds
+            raise ValueError(f"--shard {self.shard}: has none of the {runs} runs")
+        validate_hyper(self.hyper)
+        require_team(self.agent, self.loop)
+        if self.launch.launcher == "local":
+            require_room(self.agent, self.loop, num_slots(len(self.specs()), self.slots))
+        return self
+
+
+def require_room(agent: AgentConfig, loop: LoopConfig, slots: int) -> None:
+    """Refuses replays that cannot be: the system would kill the process for them.
+
+    Args:
+        agent: the team.
+        loop: of its runs.
+        slots: runs at a time.
+
+    Raises:
+        ValueError: one line with the option, the value and what is allowed.
+    """
+    has = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    frame = Layout(agent.observation_size, agent.action_size).width * np.float32().nbytes
+    if slots * loop.frames * frame > has:
+        raise ValueError(
+            f"--capacity {loop.capacity}: must be at most {has // (slots * frame)}: the replays of "
+            f"{slots} runs at a time would take {slots * loop.frames * frame / 1e9:.0f} GB, and "
+            f"this machine has {has / 1e9:.0f}"
+        )
+
+
+def require_team(agent: AgentConfig, loop: LoopConfig) -> None:
+    """Checks that a team fits the walker and its loop.
+
+    Raises:
+        ValueError: one line with the option, the value and what is allowed.
+    """
+    for name in ("observation_size", "action_size"):
+        has = getattr(AgentConfig(), name)
+        require(name, getattr(agent, name), at_least=has, at_most=has)
+    require("n_step", agent.n_step, at_most=loop.frames // 2)
+    loop.num_updates(agent.task_learner.policy_delay)

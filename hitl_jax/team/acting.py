@@ -1,0 +1,247 @@
+"""One run of the human-machine team: what it does at a step, to be vmapped by the caller."""
+
+import dataclasses
+
+import chex
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from hitl_jax import boundary
+from hitl_jax.config import RunHyper, as_float32, traced
+from hitl_jax.human import actions, caller_state
+from hitl_jax.team import arbiter
+from hitl_jax.team.agent import Agent
+from hitl_jax.types import Behavior, Params
+
+_HUMAN, _SOURCE = "the human", "the human's actions"
+
+
+@struct.dataclass
+class ActingState:
+    """What acting remembers in one run.
+
+    Attributes:
+        key: typed PRNG key of the run's acting, [].
+        steps: environment steps taken, int32 [].
+        episodes: episodes begun, int32 [].
+        noise: the action noise in units of its standard deviation, [A].
+        boundary: the boundary source's carry, [] or [K].
+        human: the human's state.
+        source: the state of the human's actions.
+        arbiter: the arbiter's state.
+    """
+
+    key: chex.PRNGKey
+    steps: chex.Array
+    episodes: chex.Array
+    noise: chex.Array
+    boundary: chex.Array
+    human: chex.ArrayTree
+    source: chex.ArrayTree
+    arbiter: arbiter.ArbiterState
+
+
+@struct.dataclass
+class Decision:
+    """What one run decided at one step.
+
+    Attributes:
+        action: the action to execute, [A].
+        control: u_t, bool [].
+        began: whether an intervention began, bool [].
+        human_action: whether `action` is the human's, bool [].
+        human_reset: whether the human ends the episode after this step, bool [].
+        alarmed: C, bool [].
+        dangerous: h_t = 0, bool [].
+        boundary: τ_t, [].
+        next_boundary: τ_{t+1} of line 8, [].
+        boundary_reward: r'_t, [].
+    """
+
+    action: chex.Array
+    control: chex.Array
+    began: chex.Array
+    human_action: chex.Array
+    human_reset: chex.Array
+    alarmed: chex.Array
+    dangerous: chex.Array
+    boundary: chex.Array
+    next_boundary: chex.Array
+    boundary_reward: chex.Array
+
+
+def init_acting(agent: Agent, hyper: RunHyper, key: chex.PRNGKey) -> ActingState:
+    """Acting at the first step of a run.
+
+    Args:
+        agent: the team.
+        hyper: the run's hyperparameters, scalars.
+        key: consumed, [].
+    """
+    source = boundary.get_source(agent.config.boundary_source)
+    initial = jnp.asarray(hyper.initial_boundary, jnp.float32)
+    return ActingState(
+        key=key,
+        steps=jnp.zeros((), jnp.int32),
+        episodes=jnp.zeros((), jnp.int32),
+        noise=jnp.zeros((agent.config.action_size,), jnp.float32),
+        boundary=source.init(initial),
+        human=caller_state.begun(_HUMAN, agent.human.init()),
+        source=caller_state.begun(_SOURCE, agent.source.init()),
+        arbiter=arbiter.init(),
+    )
+
+
+def begin_episode(agent: Agent, state: ActingState) -> ActingState:
+    """Forgets what belongs to an episode; boundary, step count and attention go on."""
+    return dataclasses.replace(
+        state,
+        episodes=state.episodes + 1,
+        noise=jnp.zeros_like(state.noise),
+        human=caller_state.kept(_HUMAN, agent.human.begin_episode(state.human), state.human),
+        source=caller_state.kept(_SOURCE, agent.source.begin_episode(state.source), state.source),
+        arbiter=arbiter.init(),
+    )
+
+
+def act(
+    agent: Agent,
+    hyper: RunHyper,
+    params: Behavior,
+    state: ActingState,
+    observation: chex.Array,
+) -> tuple[ActingState, Decision]:
+    """One step of Algorithm 1 up to the plant: lines 4 to 8, and the choice of action.
+
+    Args:
+        agent: the team.
+        hyper: the run's hyperparameters, scalars.
+        params: what acting needs of the run's parameters.
+        state: the acting state.
+        observation: s_t, [O].
+
+    Returns:
+        The next acting state and the decision.
+    """
+    chex.assert_shape(observation, (agent.config.observation_size,))
+    hyper, observation = traced(hyper), as_float32(observation)
+    key, noise_key, warmup_key, boundary_key, human_key, source_key = jax.random.split(state.key, 6)
+
+    noise, machine_action = _explore(agent, hyper, params.actor, state, observation, noise_key)
+    random_action = jax.random.uniform(warmup_key, machine_action.shape, jnp.float32, -1.0, 1.0)
+    machine_action = jnp.where(state.steps < hyper.warmup_steps, random_action, machine_action)
+
+    boundary_now = _boundary(agent, hyper, params.boundary_actor, state, observation, boundary_key)
+    human_state, dangerous = agent.human.judge(
+        state.human, hyper.human, observation, jnp.zeros((), bool), human_key
+    )
+    dangerous = jnp.asarray(dangerous, bool)
+    indicator = as_float32(agent.indicator(observation))
+    alarmed = boundary.alarm(indicator, boundary_now) & (hyper.has_arbiter > 0)
+    after = following(hyper, boundary_now, alarmed, dangerous)
+
+    objects = jnp.logical_and(dangerous, hyper.human_present > 0)
+    keeps = objects
+    if agent.config.release == "hysteresis":
+        keeps = boundary.alarm(indicator, hyper.release_share * boundary_now)
+    arbiter_state, ruling = arbiter.rule(
+        state.arbiter, agent.config.intervention, alarmed, objects, keeps, hyper.takeover_steps
+    )
+    move = boundary.Move(
+        boundary=boundary_now,
+        following=after,
+        alarmed=alarmed,
+        control=ruling.control,
+        step=hyper.delta_plus,
+        target_rate=hyper.target_rate,
+        low=hyper.boundary_low,
+        high=hyper.boundary_high,
+    )
+    source = boundary.get_source(agent.config.boundary_source)
+    learns = hyper.learns_boundary > 0
+    carry = jnp.where(learns, source.advance(state.boundary, move), state.boundary)
+
+    hands = actions.with_noise(agent.source, hyper.human_action_noise)
+    source_state, human_action = hands.act(state.source, observation, source_key)
+
+    decision = Decision(
+        action=jnp.where(ruling.human_action, as_float32(human_action), machine_action),
+        control=ruling.control,
+        began=ruling.began,
+        human_action=ruling.human_action,
+        human_reset=ruling.human_reset,
+        alarmed=alarmed,
+        dangerous=dangerous,
+        boundary=boundary_now,
+        next_boundary=after,
+        boundary_reward=boundary.boundary_reward(alarmed, dangerous, hyper.alarm_reward),
+    )
+    state = ActingState(
+        key=key,
+        steps=state.steps + 1,
+        episodes=state.episodes,
+        noise=noise,
+        boundary=carry,
+        human=caller_state.kept(
+            _HUMAN,
+            agent.human.notify(human_state, hyper.human, ruling.began, ruling.control),
+            state.human,
+        ),
+        source=caller_state.kept(_SOURCE, source_state, state.source),
+        arbiter=arbiter_state,
+    )
+    return state, decision
+
+
+def following(
+    hyper: RunHyper, boundary_now: chex.Array, alarmed: chex.Array, dangerous: chex.Array
+) -> chex.Array:
+    """τ_{t+1} of line 8 within the run's bounds, []; τ_t where the boundary is fixed.
+
+    Args:
+        hyper: the run's hyperparameters, scalars.
+        boundary_now: τ_t, [].
+        alarmed: C, bool [].
+        dangerous: h_t = 0, bool [].
+    """
+    after = boundary.next_boundary(
+        boundary_now, alarmed, dangerous, hyper.delta_minus, hyper.delta_plus
+    )
+    after = jnp.clip(after, hyper.boundary_low, hyper.boundary_high)
+    return jnp.where(hyper.learns_boundary > 0, after, boundary_now)
+
+
+def _explore(
+    agent: Agent,
+    hyper: RunHyper,
+    actor: Params,
+    state: ActingState,
+    observation: chex.Array,
+    key: chex.PRNGKey,
+) -> tuple[chex.Array, chex.Array]:
+    """The next noise [A] and μ(s_t) plus that noise, [A]."""
+    rho = hyper.noise_correlation
+    fresh = jax.random.normal(key, state.noise.shape, jnp.float32)
+    noise = rho * state.noise + jnp.sqrt(1.0 - rho**2) * fresh
+    every = hyper.noise_free_every
+    noise_free = (every > 0) & (state.episodes % jnp.maximum(every, 1) == 0)
+    scale = jnp.where(noise_free, 0.0, hyper.exploration_noise)
+    action = agent.actor.apply(actor, observation) + scale * noise
+    return noise, jnp.clip(action, -1.0, 1.0)
+
+
+def _boundary(
+    agent: Agent,
+    hyper: RunHyper,
+    actor: Params,
+    state: ActingState,
+    observation: chex.Array,
+    key: chex.PRNGKey,
+) -> chex.Array:
+    """τ_t (line 6): from the boundary source where it is learned, τ_0 where it is fixed."""
+    noise = hyper.boundary_noise * jax.random.normal(key, (), jnp.float32)
+    network = agent.network_boundary(hyper, actor, observation) + noise
+    learned = boundary.get_source(agent.config.boundary_source).boundary(state.boundary, network)
+    learned = jnp.clip(learned, hyper.boundary_low, hyper.boundary_high)
+    return jnp.where(hyper.learns_boundary > 0, learned, hyper.initial_boundary)

@@ -1,0 +1,438 @@
+"""The host loop: walkers on one side, the learner on the other, both busy.
+
+(Not where both are on one GPU: there they take turns, and the host books a chunk while the next is
+played.)
+
+Time is cut into ticks (one step of every walker) and chunks of U ticks. While the walkers play
+chunk i+1, the device learns from chunk i, or still from chunk i−1: up to `learner_side.LAG` calls
+of the learner are under way, so that neither side waits for the other at the end of a chunk. The
+parameters that act in chunk i+1 are those learned up to chunk i−`LAG`. The lag is part of a run's
+definition: it is the same whatever the machine's speed.
+
+A slot is a column of the batch. Runs wait in a queue for a slot; a run that is done leaves its slot
+at once, and takes no more time. Nothing a run computes depends on its slot or on its neighbours.
+"""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hitl_jax.config import require, typed
+from hitl_jax.envs import WalkerPool
+from hitl_jax.envs.episode_log import EpisodeLog
+from hitl_jax.results import recorded_episodes
+from hitl_jax.results.episode_measures import row_of
+from hitl_jax.results.recorded_episodes import STEP_COLUMNS, Recording, names_of
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.team.agent import Agent, behavior
+from hitl_jax.team.packed_decision import CHECKED_COLUMNS, flag_of
+from hitl_jax.training import compiled_batch
+from hitl_jax.training.host_stage import Slots, Tick, make_stage
+from hitl_jax.training.learner_queue import LearnerSide
+from hitl_jax.training.run_spec import (
+    Divergence,
+    FinishedRun,
+    LoopConfig,
+    Run,
+    RunSpec,
+    Snapshot,
+    episode_seed,
+    method_index,
+)
+from hitl_jax.training.saved_run import (
+    SavedRun,
+    between_episodes,
+    bring_back,
+    cannot_return,
+    facts_of,
+    require_shapes,
+)
+from hitl_jax.training.step_booking import (
+    complete,
+    episode_of,
+    finite_answer,
+    frames_of,
+    logged_layout,
+    recorded_steps,
+    step_width,
+)
+from hitl_jax.xla.devices import learning_devices
+
+
+class _Chunk(NamedTuple):
+    """Ticks that are played, or will be as they are asked for.
+
+    Attributes:
+        finite: whether the parameters are that act in it, bool [R].
+        ticks: one after the other.
+    """
+
+    finite: np.ndarray
+    ticks: Iterator[Tick]
+
+
+class Rollout:
+    """Plays and trains a list of runs over a fixed number of slots."""
+
+    def __init__(
+        self,
+        agent: Agent,
+        specs: Sequence[RunSpec],
+        pool: WalkerPool,
+        config: LoopConfig,
+        saved: dict[RunKey, SavedRun] | None = None,
+    ):
+        """Places everything on the devices.
+
+        Args:
+            agent: the team.
+            specs: the runs; more than `pool.num_walkers` wait for a slot.
+            pool: one walker a slot; the number of slots must be a multiple of the devices'.
+            config: how much to play and learn.
+            saved: runs to go on with, each taken out when it has a slot, since its replay is large;
+                None says that none will be saved either.
+
+        Raises:
+            CannotReturn: if a saved run's walker does not come back as it was.
+        """
+        self._agent = agent
+        self._pool = pool
+        self._config = config
+        self._layout = agent.layout
+        slots = pool.num_walkers
+        _check(agent, pool, config)
+        self._saved = {} if saved is None else saved
+        longest = max((len(run.frames) for run in self._saved.values()), default=0)
+        self._learner = LearnerSide(agent, config, slots, longest)
+        self._stage = make_stage(agent, pool, self._learner.programs)
+        self._acting_shape = self._stage.words().shape[1:]
+
+        self._saves = saved is not None
+        self._recent = [np.zeros((slots, 0, self._layout.width), np.float32)]
+        self._logged = logged_layout(agent.layout)
+        self._recorded_width = pool.action_size + len(STEP_COLUMNS)
+        self._unsaved = np.zeros(slots, int)  # frames since a run was seated or saved
+        self._log = EpisodeLog(slots, step_width(self._logged))
+        self._intervened = np.zeros(slots, bool)  # in the episode under way, before this chunk
+        self._queue = deque(sorted(specs, key=lambda spec: spec.key not in self._saved))
+        self._runs: list[Run | None] = [None] * slots
+        self._held: set[RunKey] = set()
+        self._slots = Slots(
+            active=np.zeros(slots, bool),
+            needs_reset=np.zeros(slots, bool),
+            # No two chunks can begin more episodes: one of a step and a reset takes two ticks.
+            seeds=np.zeros((slots, config.chunk + 1), np.uint32),
+            left=np.zeros(slots, np.int32),
+            observation=np.zeros((slots, pool.observation_size), np.float32),
+        )
+        self._feedback = np.zeros(slots)
+        self._ahead: _Chunk | None = None
+        self._seat_all(self._learner.order())
+
+    def __iter__(self) -> Iterator[list[FinishedRun]]:
+        """Plays chunk after chunk; gives the runs that finished in each.
+
+        A run that had ended when it was saved is given at once. Ends when no run is left but those
+        held.
+        """
+        while under_way := self._not_held(self.runs()):
+            ended = [self.collect(run) for run in under_way if run.done]
+            ended = ended or self._next_chunk()
+            yield ended
+            self._replace(self._not_held([finished.run for finished in ended]))
+
+    def runs(self) -> list[Run]:
+        """The runs under way, and those that have just been given as finished."""
+        return [run for run in self._runs if run is not None]
+
+    def hold(self, ended: Sequence[FinishedRun]) -> None:
+        """Lets runs that were given keep their slots, so that they are saved, until `release`."""
+        self._held |= {finished.run.spec.key for finished in ended}
+
+    def release(self, ended: Sequence[FinishedRun]) -> None:
+        """Gives the slots of runs that were held to others."""
+        self._replace([finished.run for finished in ended])
+        self._held -= {finished.run.spec.key for finished in ended}
+
+    def waits(self) -> bool:
+        """Whether runs that are held keep others from going on, or none is left that would."""
+        return bool(self._queue) or not any(not run.done for run in self.runs())
+
+    def collect(self, run: Run) -> FinishedRun:
+        """What a run has become so far; for a run that is seated."""
+        return FinishedRun(run, self._learner.train_of(run.slot), self._boundary_of(run))
+
+    def save(self) -> list[SavedRun]:
+        """The runs that are under way, have just ended, or were saved and wait for a slot.
+
+        Between two chunks; waits for the learner; only with `saved` given at the start. The frames
+        are those since the runs were saved before.
+        """
+        self._catch_up()
+        train, learned = self._learner.save()
+        acting = self._stage.words()
+        recent = np.concatenate(self._recent, axis=1)
+        saved = [run.without_new_frames() for run in self._saved.values()]
+        for run in self.runs():
+            saved.append(
+                SavedRun(
+                    facts=facts_of(run, begun=not self._slots.needs_reset[run.slot]),
+                    train=train[run.slot],
+                    acting=acting[run.slot],
+                    behavior=learned[run.slot],
+                    snapshots=np.array(
+                        [compiled_batch.flat(kept.behavior) for kept in run.snapshots]
+                    ),
+                    boundaries=np.array([kept.boundary for kept in run.snapshots]),
+                    observation=self._slots.observation[run.slot].copy(),
+                    steps=self._log.of(run.slot),
+                    recordings=recorded_episodes.join(run.recordings, self._recorded_width),
+                    frames=recent[run.slot, max(recent.shape[1] - self._unsaved[run.slot], 0) :],
+                )
+            )
+        self._recent = [recent[:, :0].copy()]
+        self._unsaved[:] = 0
+        return saved
+
+    def wait(self) -> None:
+        """Returns when the learner has nothing left to do."""
+        self._learner.wait()
+
+    def _next_chunk(self) -> list[FinishedRun]:
+        """Plays a chunk, and gives the runs that ended in it."""
+        chunk, self._ahead = self._ahead or self._begin_chunk(), None
+        if self._stage.runs_ahead:
+            self._ahead = self._begin_chunk()
+        return self._book(chunk)
+
+    def _catch_up(self) -> None:
+        """Books the chunk that was begun ahead, if there is one.
+
+        Runs that end in it are found when the next chunk would be played.
+        """
+        if self._ahead is not None:
+            chunk, self._ahead = self._ahead, None
+            self._book(chunk)
+
+    def _begin_chunk(self) -> _Chunk:
+        packed, finite = self._learner.parameters()
+        self._stage.prepare(packed)
+        return _Chunk(finite, self._stage.ticks(self._slots, finite, self._config.chunk))
+
+    def _book(self, chunk: _Chunk) -> list[FinishedRun]:
+        """Notes what the walkers did, and has the learner learn from it."""
+        self._stop_diverged("parameters", chunk.finite)
+        frames = self._frames_of(chunk.ticks)
+        for run in self.runs():
+            self._keep_snapshots(run)
+        ended = [self.collect(run) for run in self._not_held(self.runs()) if run.done]
+        self._learn(frames)
+        return ended
+
+    def _not_held(self, runs: Sequence[Run]) -> list[Run]:
+        if not self._held:
+            return list(runs)
+        return [run for run in runs if run.spec.key not in self._held]
+
+    def _replace(self, ended: Sequence[Run]) -> None:
+        """Gives the slots of runs that have ended, and still have them, to others."""
+        slots = [run.slot for run in ended if self._runs[run.slot] is run]
+        if slots and self._queue:
+            self._catch_up()
+        for slot in slots:
+            self._runs[slot] = None
+        self._seat_all(slots)
+
+    def _seat_all(self, slots: Sequence[int]) -> None:
+        """Gives slots to the next runs in the queue; saved ones go on where they were."""
+        back: dict[int, np.ndarray] = {}
+        for slot in slots:
+            if not self._queue:
+                break
+            spec = self._queue.popleft()
+            self._seat(slot, spec)
+            saved = self._saved.pop(spec.key, None)
+            if saved is not None:
+                try:
+                    self._take_up(slot, saved)
+                except (ValueError, TypeError, IndexError) as error:
+                    raise cannot_return(spec.key, error) from error
+                if self._slots.live[slot]:
+                    back[slot] = saved.steps[:, self._logged.action]
+        try:
+            bring_back(self._pool, self._slots.seeds[:, 0], back, self._slots.observation)
+        except ValueError as error:  # Of actions that no run takes.
+            raise cannot_return(spec.key, error) from error
+
+    def _seat(self, slot: int, spec: RunSpec) -> None:
+        """Gives a slot to a run at its beginning."""
+        learning, acting, _ = compiled_batch.run_keys(spec.seed, method_index(spec.method))
+        hyper = typed(spec.hyper)
+        self._learner.seat(slot, hyper, learning)
+        self._stage.seat(slot, hyper, acting)
+        self._runs[slot] = run = Run(spec=spec, slot=slot)
+        self._unsaved[slot] = 0
+        self._log.begin(slot)
+        self._intervened[slot] = False
+        self._slots.active[slot] = True
+        self._slots.needs_reset[slot] = True
+        self._look_ahead(run)
+        self._feedback[slot] = spec.hyper.feedback
+
+    def _take_up(self, slot: int, saved: SavedRun) -> None:
+        """Makes of a seated run what it was when it was saved, but for its walker."""
+        run = self._runs[slot]
+        assert run is not None
+        self._check_fit(saved, run.spec)
+        if not self._pool.seedable:
+            saved = between_episodes(saved, self._layout)
+        self._learner.restore(slot, saved.train, saved.behavior, saved.frames)
+        self._stage.restore(slot, saved.acting)
+        facts = saved.facts
+        run.episodes = list(facts["episodes"])
+        run.ticks, run.env_steps, run.updates = (
+            facts[name] for name in ("ticks", "env_steps", "updates")
+        )
+        run.started -= facts["seconds"]
+        run.diverged = Divergence(*facts["diverged"]) if facts["diverged"] else None
+        due = run.spec.snapshots[: len(saved.snapshots)]
+        kept = zip(due, self._learner.behaviors(saved.snapshots), saved.boundaries, strict=True)
+        run.snapshots = [Snapshot(*one) for one in kept]
+        self._log.begin(slot, saved.steps)
+        self._intervened[slot] = flag_of(saved.steps, self._logged, "control").any()
+        run.recordings = recorded_episodes.split(facts["recordings"], saved.recordings)
+        run.done = len(run.episodes) >= run.spec.episodes or run.diverged is not None
+        self._slots.active[slot] = not run.done
+        self._slots.needs_reset[slot] = not facts["begun"]
+        self._slots.observation[slot] = saved.observation
+        self._look_ahead(run)
+
+    def _check_fit(self, saved: SavedRun, spec: RunSpec) -> None:
+        """Raises CannotReturn unless the arrays are as this agent's are."""
+        shapes = self._learner.shapes()
+        expected = {
+            **shapes,
+            "acting": self._acting_shape,
+            "observation": (self._layout.observation_size,),
+            "frames": (len(saved.frames), self._layout.width),
+            "steps": (len(saved.steps), step_width(self._logged)),
+            "recordings": (len(saved.recordings), self._recorded_width),
+            "snapshots": (
+                min(len(saved.snapshots), len(spec.snapshots)),
+                *shapes["behavior"][1:] * bool(len(saved.snapshots)),
+            ),
+        }
+        require_shapes(saved, expected)
+
+    def _keep_snapshots(self, run: Run) -> None:
+        """Keeps those whose episodes have ended in this chunk; there may be several."""
+        left = run.spec.snapshots[len(run.snapshots) :]
+        due = [episode for episode in left if episode <= len(run.episodes) or run.diverged]
+        if due:
+            learned, boundary = behavior(self._learner.train_of(run.slot)), self._boundary_of(run)
+            run.snapshots += [Snapshot(episode, learned, boundary) for episode in due]
+
+    def _boundary_of(self, run: Run) -> np.ndarray:
+        return self._stage.boundaries()[run.slot]
+
+    def _frames_of(self, ticks: Iterator[Tick]) -> np.ndarray:
+        """Notes a chunk of ticks; gives the frames for the replay, [R, U, W]."""
+        layout, slots = self._layout, self._slots
+        shape = len(self._runs), self._config.chunk, step_width(layout)
+        steps = np.zeros(shape, np.float32)
+        for place, tick in enumerate(ticks):
+            live, step = slots.live, steps[:, place]
+            step[:] = tick.decided
+            if not np.isfinite(step).all():
+                for name in CHECKED_COLUMNS:
+                    part = step[:, getattr(layout, name)].reshape(len(step), -1)
+                    self._stop_diverged(name, np.isfinite(part).all(axis=1) | ~live)
+                live &= slots.active
+            answer = tick.answer(live)
+            moved = live | (slots.active & slots.needs_reset)
+            for name, finite in finite_answer(answer).items():
+                if not finite.all():
+                    self._stop_diverged(name, finite | ~moved)
+                    live &= slots.active
+            ended = live & complete(step, answer, layout)
+            self._log.add(live, step[:, layout.action.start :])
+            slots.needs_reset[:] = False
+            slots.observation = answer.observation.copy()
+            for slot in ended.nonzero()[0].tolist():
+                self._end_episode(slot)
+        frames, self._intervened = frames_of(
+            steps, layout, self._agent.config, self._feedback, self._intervened
+        )
+        for run in self.runs():
+            run.ticks += self._config.chunk
+        self._unsaved += self._config.chunk
+        if self._saves:
+            self._recent.append(frames)
+            if len(self._recent) > self._config.frames // self._config.chunk:
+                del self._recent[0]  # The replay has forgotten it.
+        return frames
+
+    def _end_episode(self, slot: int) -> None:
+        run = self._runs[slot]
+        assert run is not None
+        steps, hyper = self._log.of(slot), run.spec.hyper
+        row = row_of(episode_of(steps, self._logged, self._agent.config, hyper))
+        run.env_steps += len(steps)
+        run.episodes.append({"episode": len(run.episodes) + 1, "env_steps": run.env_steps, **row})
+        for name in names_of(run.episodes, run.recordings):
+            kept = recorded_steps(steps, self._logged, hyper)
+            run.recordings[name] = Recording(len(run.episodes), kept)
+        self._log.begin(slot)
+        slots, ended = self._slots, len(run.episodes)
+        slots.needs_reset[slot] = True
+        slots.left[slot] -= 1
+        seeds = slots.seeds[slot]
+        seeds[:-1] = seeds[1:]
+        seeds[-1] = episode_seed(run.spec.method, run.spec.seed, ended + len(seeds) - 1)
+        if ended == run.spec.episodes:
+            run.done = True
+            slots.active[slot] = False
+
+    def _look_ahead(self, run: Run) -> None:
+        """Notes the episodes that a run has yet to play, and the seeds of the next ones."""
+        spec, slots, ended = run.spec, self._slots, len(run.episodes)
+        slots.left[run.slot] = spec.episodes - ended
+        slots.seeds[run.slot] = [
+            episode_seed(spec.method, spec.seed, ended + later)
+            for later in range(slots.seeds.shape[1])
+        ]
+
+    def _stop_diverged(self, quantity: str, finite: np.ndarray) -> None:
+        """Ends the runs that are active and of which something is not finite, bool [R]."""
+        for slot in np.flatnonzero(self._slots.active & ~finite).tolist():
+            run = self._runs[slot]
+            assert run is not None
+            steps = run.env_steps + self._log.length_of(slot)
+            run.diverged = Divergence(quantity, steps, len(run.episodes))
+            run.done = True
+            self._slots.active[slot] = False
+
+    def _learn(self, frames: np.ndarray) -> None:
+        """Starts the learner on a chunk; does not wait for it."""
+        slots = []
+        for run in self.runs():
+            needed = max(2 * self._config.chunk, self._agent.config.n_step + 2)
+            warm = max(run.spec.hyper.warmup_steps, needed)
+            if not run.done and run.ticks >= warm:
+                slots.append(run.slot)
+                run.updates += self._learner.num_updates
+        self._learner.learn(frames, slots)
+
+
+def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:
+    """Raises ValueError where agent, pool and loop do not fit each other."""
+    asked = (agent.config.observation_size, agent.config.action_size)
+    has = (pool.observation_size, pool.action_size)
+    if asked != has:
+        raise ValueError(f"agent has observations and actions of {asked}, the walkers of {has}")
+    require("n_step", agent.config.n_step, at_most=config.frames // 2)
+    devices = len(learning_devices())
+    if pool.num_walkers % devices:
+        raise ValueError(f"{pool.num_walkers} walkers do not divide over {devices} devices")

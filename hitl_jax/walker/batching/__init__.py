@@ -1,0 +1,1 @@
+"""How functions of one walker become fast functions of many."""

@@ -1,0 +1,1 @@
+"""What we do to please a compiler, and nothing that changes a result."""
