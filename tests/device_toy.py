@@ -7,8 +7,10 @@ import jax.numpy as jnp
 import pytest
 from flax import struct
 
+from hitl_jax.config import AgentConfig, Hyper
 from hitl_jax.envs import Command, StepBatch, jax_pool
 from hitl_jax.training import device_ticks
+from hitl_jax.training.run_spec import LoopConfig
 
 NEVER = 200
 
@@ -51,3 +53,12 @@ def toys(broken_from=NEVER):
         patch.setattr(jax_pool, "tick", jax.jit(tick))
         patch.setattr(device_ticks, "tick", tick)
         yield
+
+
+CONFIG = AgentConfig(learner="td3", hidden_sizes=(16,), batch_size=16)
+
+
+HYPER = Hyper(warmup_steps=24, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
+
+
+LOOP = LoopConfig(capacity=256, chunk=8)

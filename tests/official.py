@@ -1,6 +1,6 @@
 """Gymnasium's own walker, to compare with; where it is not, tests that do are skipped by name.
 
-What passes without Box2D: PYTHONPATH=tests/without_box2d pytest tests/test_walker.py ...
+What passes without Box2D: PYTHONPATH=tests/without_box2d pytest tests/walker/test_walker.py ...
 """
 
 import pytest

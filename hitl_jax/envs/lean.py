@@ -1,8 +1,8 @@
 """Gymnasium's bipedal walker on Box2D, the same numbers in half the time.
 
 Body, terrain and rewards are built from `hitl_jax.walker.bipedal`; the world and its solver are
-Box2D's own. What is done otherwise than in gymnasium's class leaves every bit of an episode as it is
-there:
+Box2D's own. What is done otherwise than in gymnasium's class leaves every bit of an episode as it
+is there:
 
 - The edges of the terrain share a few static bodies instead of having one each: the solver visits
   every body at each step.

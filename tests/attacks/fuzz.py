@@ -17,10 +17,10 @@ import atheris
 sys.path += [str(pathlib.Path(__file__).parents[1]), str(pathlib.Path(__file__).parents[2])]
 
 _READERS = (
-    "archives checkpoint differences documents files human recording results run_key saved saves "
-    "tables live.commands live.journal commands.alarm_figure commands.boundary_map "
-    "commands.judgements commands.recorded commands.shards commands.trained commands.tuning "
-    "commands.ablations.store"
+    "results human.judgement team.checkpoint training.saved_run training.saved_run_store "
+    "live.messages live.journal analysis.alarm_figures commands.boundary_map commands.recorded "
+    "sweep.recorded_human sweep.shards playback.load_trained commands.tuning "
+    "studies.ablations.store"
 )
 with atheris.instrument_imports(include=[f"hitl_jax.{name}" for name in _READERS.split()]):
     from damage import _read, plain

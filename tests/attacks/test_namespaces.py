@@ -15,7 +15,7 @@ _ISOLATED = ["unshare", "--user", "--map-root-user", "--pid", "--fork", "--mount
 
 _WRITER = """
 import os, pathlib, sys
-from hitl_jax.files import write_bytes_atomic
+from hitl_jax.results.atomic_files import write_bytes_atomic
 path, letter, end = pathlib.Path(sys.argv[1]), sys.argv[2].encode(), pathlib.Path(sys.argv[3])
 print(os.getpid(), flush=True)
 while not end.exists():
@@ -24,7 +24,7 @@ while not end.exists():
 
 _HOLDER = """
 import os, pathlib, sys
-from hitl_jax.files import locked
+from hitl_jax.results.atomic_files import locked
 with locked(pathlib.Path(sys.argv[1])):
     print(os.getpid(), flush=True)
     sys.stdin.read()

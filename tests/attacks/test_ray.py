@@ -8,7 +8,7 @@ import pytest
 
 _PROGRAM = """
 import glob, ipaddress, os, re
-from hitl_jax.commands.launchers.cluster import connected
+from hitl_jax.sweep.launchers.cluster import connected
 
 def listening():
     found = {}

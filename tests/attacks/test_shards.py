@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 import pytest
+from example_results import CONFIG, make_info, make_params, make_tests
 from forged import rewrite
-from test_results import CONFIG, make_info, make_params, make_tests
 
 from hitl_jax.commands import merge
 from hitl_jax.console.cli import run_main

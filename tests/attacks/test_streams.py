@@ -8,7 +8,7 @@ import pytest
 
 _PROGRAM = """
 import sys
-from hitl_jax.commands.output import go_on_without_readers
+from hitl_jax.console.output import go_on_without_readers
 go_on_without_readers()
 go_on_without_readers()
 for number in range(20_000):

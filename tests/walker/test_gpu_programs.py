@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-_SCRIPT = pathlib.Path(__file__).with_name("gpu_programs.py")
+_SCRIPT = pathlib.Path(__file__).parents[1] / "gpu_programs.py"
 
 
 @pytest.mark.skipif(

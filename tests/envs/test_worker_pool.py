@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from test_envs import DIE, IDLE, RAISE, RESET, STEP, TOY, tick
+from toy_envs import DIE, IDLE, RAISE, RESET, STEP, TOY, tick
 
 from hitl_jax.envs import WalkerError, make_pool
 from hitl_jax.envs.worker_pool import WorkerPool
@@ -98,7 +98,7 @@ def test_a_worker_that_does_not_come_up():
     with pytest.raises(ValueError, match="env_id 'Nope-v3': Environment `Nope` doesn't exist"):
         make_pool("gymnasium", 2, 2, "Nope-v3")
     with pytest.raises(ValueError, match="DiscreteToy-v0': actions must be flat vectors, not Disc"):
-        make_pool("gymnasium", 1, 1, "test_envs:DiscreteToy-v0")
+        make_pool("gymnasium", 1, 1, "toy_envs:DiscreteToy-v0")
     with pytest.raises(WalkerError, match="2 of 2 walker processes did not come up in time"):
         WorkerPool("gymnasium", TOY, 2, 2, start_seconds=0.001)
 

@@ -8,8 +8,8 @@ import hypothesis
 import hypothesis.strategies as st
 import numpy as np
 import pytest
-from test_results import CONFIG, KEY, make_episodes, make_info, make_params, make_tests
-from test_saves import _run as make_saved
+from example_results import CONFIG, KEY, make_episodes, make_info, make_params, make_tests
+from example_saves import make_saved
 
 from hitl_jax.analysis.summary import write_summary
 from hitl_jax.console.cli import checking_input, parse
@@ -81,8 +81,8 @@ def _save(folder, key):
     steps[:, -4:] = steps[:, -4:] > 0
     recorded = {"best": Recording(2, steps)}
     episodes = make_episodes() | {"length": np.full(4, len(steps))}
-    atomic_files = episodes, make_tests(), make_params(), make_info()
-    folder.save_run(key, *atomic_files, recordings=recorded)
+    files = episodes, make_tests(), make_params(), make_info()
+    folder.save_run(key, *files, recordings=recorded)
 
 
 # ---------------------------------------------------------------------------------- a full disk

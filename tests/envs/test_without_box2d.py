@@ -16,7 +16,7 @@ from hitl_jax.commands import seed_sweep
 from hitl_jax.console.cli import run_main
 from hitl_jax.results.folder import ResultsFolder
 
-_TESTS = pathlib.Path(__file__).parent
+_TESTS = pathlib.Path(__file__).parents[1]
 _KEPT = _TESTS.parent / "results" / "ten_seeds"
 _ENVIRONMENT = os.environ | {
     "PYTHONPATH": os.pathsep.join([str(_TESTS / "without_box2d"), str(_TESTS.parent)])

@@ -13,7 +13,7 @@ from hitl_jax.xla import devices
 _SCRIPT = """
 import os, pathlib
 os.nice(3)
-from hitl_jax.devices import acting_device, learning_devices
+from hitl_jax.xla.devices import acting_device, learning_devices
 acting_device(), learning_devices()
 tasks = pathlib.Path("/proc/self/task").iterdir()
 nice = {os.getpriority(os.PRIO_PROCESS, int(task.name)) for task in tasks}

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_device_stage import _CONFIG, _HYPER, _LOOP
+from device_toy import CONFIG, HYPER, LOOP
 from toy import ToyPool
 
 from hitl_jax import boundary
@@ -93,7 +93,7 @@ def test_feedback_that_is_not_given_is_not_in_a_reward(schedule, module):
 
 
 def test_an_update_whose_next_observation_is_masked_is_finite():
-    agent = agents.make_agent(_CONFIG)
+    agent = agents.make_agent(CONFIG)
     state = agents.init(agent, jax.random.key(0))
     batch = agents.Transition(
         observation=jnp.ones((4, 24)),
@@ -102,7 +102,7 @@ def test_an_update_whose_next_observation_is_masked_is_finite():
         discount=jnp.zeros(4),
         next_observation=jnp.full((4, 24), jnp.nan),
     )
-    hyper = hyper_for(Method.SRL, _HYPER)
+    hyper = hyper_for(Method.SRL, HYPER)
     after, metrics = agents.update(agent, hyper, state, batch, jnp.zeros((4, 4)))
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((after.learner, metrics)))
 
@@ -138,7 +138,7 @@ class _Breaking(ToyPool):
 
 
 def _specs(episodes=3):
-    hyper = hyper_for(Method.SRL, _HYPER)
+    hyper = hyper_for(Method.SRL, HYPER)
     return [RunSpec(Method.SRL, seed, hyper, episodes) for seed in range(2)]
 
 
@@ -155,7 +155,7 @@ def _specs(episodes=3):
 )
 def test_the_host_ends_a_run_at_the_tick_that_brought_it(field, at, bad):
     pool = _Breaking(4, field, at, bad)
-    playing = Rollout(agents.make_agent(_CONFIG), _specs(), pool, _LOOP)
+    playing = Rollout(agents.make_agent(CONFIG), _specs(), pool, LOOP)
     finished = {run.run.spec.seed: run for done in playing for run in done}
     assert pool.done
     [seed] = [seed for seed, run in finished.items() if run.run.slot == 0]
@@ -172,7 +172,7 @@ def test_the_host_ends_a_run_at_the_tick_that_brought_it(field, at, bad):
 
 def test_what_an_idle_walker_shows_ends_no_run():
     pool = _Breaking(4, "observation", "idle")
-    playing = Rollout(agents.make_agent(_CONFIG), _specs(2), pool, _LOOP)
+    playing = Rollout(agents.make_agent(CONFIG), _specs(2), pool, LOOP)
     finished = [run for done in playing for run in done]
     assert pool.done
     assert len(finished) == 2
@@ -208,7 +208,7 @@ def test_the_device_ends_a_run_where_the_host_does(field, at, monkeypatch):
     def play():
         with device_toy.toys():
             specs = _specs(12)
-            playing = Rollout(agents.make_agent(_CONFIG), specs, JaxPool(4, 2), _LOOP)
+            playing = Rollout(agents.make_agent(CONFIG), specs, JaxPool(4, 2), LOOP)
             runs = {run.run.spec.seed: run.run for done in playing for run in done}
             return [(runs[seed].diverged, repr(runs[seed].episodes)) for seed in range(2)]
 
@@ -219,9 +219,9 @@ def test_the_device_ends_a_run_where_the_host_does(field, at, monkeypatch):
 
 
 def _finished():
-    agent = agents.make_agent(_CONFIG)
+    agent = agents.make_agent(CONFIG)
     train = agents.init(agent, jax.random.key(3))
-    spec = RunSpec(Method.HITL_AC, 0, hyper_for(Method.HITL_AC, _HYPER), 9)
+    spec = RunSpec(Method.HITL_AC, 0, hyper_for(Method.HITL_AC, HYPER), 9)
     return agent, FinishedRun(Run(spec, 0), train, np.float32(0.25))
 
 

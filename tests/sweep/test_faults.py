@@ -4,7 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
-from test_results import CONFIG, KEY, save
+from example_results import CONFIG, KEY, save
 
 from hitl_jax.commands.faults import _differences, main
 from hitl_jax.console.cli import run_main

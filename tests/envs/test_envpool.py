@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from test_envs import IDLE, RESET, STEP, same, tick
+from toy_envs import IDLE, RESET, STEP, same, tick
 
 from hitl_jax.envs import StepBatch, make_pool
 

@@ -9,7 +9,7 @@ from hitl_jax.xla.threefry import make_key, wrap_key
 
 _DRAW = """
 import jax
-from hitl_jax.keys import make_key, wrap_key
+from hitl_jax.xla.threefry import make_key, wrap_key
 key = wrap_key(jax.random.key_data(make_key(7)))
 print(jax.random.normal(jax.random.split(jax.random.fold_in(key, 3))[1], (), "float32"))
 """

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 from own_envs import BOXES, REFUSED_BOXES, REFUSED_VIEWS
-from test_envs import RESET, STEP, make_plain, tick
+from toy_envs import RESET, STEP, make_plain, tick
 
 from hitl_jax.envs import WalkerError, make_pool
 

@@ -9,7 +9,7 @@ import pytest
 from hitl_jax.envs import OUR_WALKERS, Command, StepBatch, make_pool
 
 WALKER, HARDCORE = OUR_WALKERS
-RESULTS = pathlib.Path(__file__).parents[1] / "results"
+RESULTS = pathlib.Path(__file__).parents[2] / "results"
 
 
 class RandomPlay:

@@ -6,23 +6,20 @@ import device_toy
 import jax
 import numpy as np
 import pytest
+from device_toy import CONFIG, HYPER, LOOP
 
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import Method, hyper_for
 from hitl_jax.envs import jax_pool
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training import device_stage, host_stage, rollout
 from hitl_jax.training.rollout import Rollout
-from hitl_jax.training.run_spec import LoopConfig, RunSpec
+from hitl_jax.training.run_spec import RunSpec
 from hitl_jax.walker import gpu
-
-_CONFIG = AgentConfig(learner="td3", hidden_sizes=(16,), batch_size=16)
-_HYPER = Hyper(warmup_steps=24, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
-_LOOP = LoopConfig(capacity=256, chunk=8)
 
 
 def _specs(episodes=24, seeds=2):
     return [
-        RunSpec(method, seed, hyper_for(method, _HYPER), episodes, snapshots=(4,))
+        RunSpec(method, seed, hyper_for(method, HYPER), episodes, snapshots=(4,))
         for seed in range(seeds)
         for method in Method
     ]
@@ -32,7 +29,7 @@ def _play(specs, slots, saved=None, chunks=None, broken_from=device_toy.NEVER):
     """Finished runs by name, and the rollout; after so many chunks at most."""
     with device_toy.toys(broken_from):
         pool = jax_pool.JaxPool(slots, 2)
-        playing = Rollout(make_agent(_CONFIG), specs, pool, _LOOP, saved=saved)
+        playing = Rollout(make_agent(CONFIG), specs, pool, LOOP, saved=saved)
         finished = {}
         for number, done in enumerate(playing, start=1):
             finished |= {run.run.spec.key: run for run in done}
@@ -87,7 +84,7 @@ def test_a_run_that_is_saved_goes_on_as_if_nothing_had_been(together):
 def test_saving_changes_nothing(together):
     """The chunk that was begun ahead is booked early then, and a slot given on in between."""
     with device_toy.toys():
-        playing = Rollout(make_agent(_CONFIG), _specs(), jax_pool.JaxPool(4, 2), _LOOP, saved={})
+        playing = Rollout(make_agent(CONFIG), _specs(), jax_pool.JaxPool(4, 2), LOOP, saved={})
         finished = {}
         for number, done in enumerate(playing):
             finished |= {run.run.spec.key: run for run in done}
@@ -125,7 +122,7 @@ def test_slots_of_runs_that_were_held_are_given_on(together):
     """As where runs keep their slots until they are tested, and others wait for these."""
     finished, held = {}, []
     with device_toy.toys():
-        playing = Rollout(make_agent(_CONFIG), _specs(), jax_pool.JaxPool(4, 2), _LOOP)
+        playing = Rollout(make_agent(CONFIG), _specs(), jax_pool.JaxPool(4, 2), LOOP)
         for number, done in enumerate(playing):
             finished |= {run.run.spec.key: run for run in done}
             playing.hold(done)
@@ -160,7 +157,7 @@ def test_a_gpu_waits_for_the_books_unless_it_is_asked_not_to(
 
 def test_no_more_than_one_chunk_is_begun_ahead():
     with device_toy.toys():
-        playing = Rollout(make_agent(_CONFIG), _specs(), jax_pool.JaxPool(4, 2), _LOOP)
+        playing = Rollout(make_agent(CONFIG), _specs(), jax_pool.JaxPool(4, 2), LOOP)
         next(iter(playing))
         finite = np.ones(4, bool)
         playing._stage.ticks(playing._slots, finite, 8)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from test_results import CONFIG, KEY, make_episodes, make_info, make_params, make_tests
-from test_saves import _run as make_saved
+from example_results import CONFIG, KEY, make_episodes, make_info, make_params, make_tests
+from example_saves import make_saved
 
 from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.playback import episodes

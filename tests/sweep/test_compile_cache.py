@@ -6,14 +6,14 @@ import sys
 
 _SCRIPT = """
 import sys
-from hitl_jax.commands.compile_cache import keep_programs
+from hitl_jax.sweep.compile_cache import keep_programs
 keep_programs()
 from toy import ToyPool
-from hitl_jax.commands.benchmarks.loop import specs_of
-from hitl_jax.agent import make_agent
+from hitl_jax.benchmarks.loop import specs_of
+from hitl_jax.team.agent import make_agent
 from hitl_jax.config import AgentConfig, Method
-from hitl_jax.rollout import Rollout
-from hitl_jax.runs import LoopConfig
+from hitl_jax.training.rollout import Rollout
+from hitl_jax.training.run_spec import LoopConfig
 import jax
 missed = []
 jax.monitoring.register_event_listener(

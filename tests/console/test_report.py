@@ -22,7 +22,7 @@ from hitl_jax.results.folder import Run
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.studies.ablations.starts import judge_starts
 
-_RESULTS = pathlib.Path(__file__).parents[1] / "results"
+_RESULTS = pathlib.Path(__file__).parents[2] / "results"
 
 
 def _run(method, seed, rises_at, test_return, assisted=0.0, end=0.45, interventions=(3, 1)):
