@@ -39,7 +39,7 @@ class JaxPool(CheckedPool):
     Attributes:
         blocks: of walkers.
         walkers: of each block, leaves [L, ...]; those behind the block's own are never begun.
-        lanes: L, see `hitl_jax.xla.full_registers`.
+        lanes: L, see `xla.full_registers`.
     """
 
     seedable = True
@@ -107,7 +107,7 @@ class JaxPool(CheckedPool):
 
 def _waiting(lanes: int, device: jax.Device, hardcore: bool) -> Walker:
     """Walkers that wait for their first RESET."""
-    keys = jax.device_put(jnp.zeros(full_registers, jnp.uint32), device)
+    keys = jax.device_put(jnp.zeros(lanes, jnp.uint32), device)
     return _made(keys, hardcore)
 
 

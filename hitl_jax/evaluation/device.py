@@ -21,7 +21,7 @@ from hitl_jax.team.acting import ActingState
 from hitl_jax.team.agent import Agent
 from hitl_jax.training import device_ticks
 from hitl_jax.training.device_ticks import Moment, begins_with
-from hitl_jax.training.host_stage import Slots
+from hitl_jax.training.stage import Slots
 from hitl_jax.training.step_booking import (
     complete,
     episode_of,

@@ -16,7 +16,7 @@ from hitl_jax.team.agent import Agent
 from hitl_jax.training import compiled_batch, device_ticks
 from hitl_jax.training.compiled_batch import Programs
 from hitl_jax.training.device_ticks import Moment, begins_with
-from hitl_jax.training.host_stage import Slots, Tick
+from hitl_jax.training.stage import Slots, Tick
 from hitl_jax.types import Behavior
 from hitl_jax.walker import gpu
 from hitl_jax.xla import full_registers

@@ -13,7 +13,7 @@ from hitl_jax.envs import Command
 from hitl_jax.envs.jax_pool import tick
 from hitl_jax.learner.replay import Layout
 from hitl_jax.team import packed_decision
-from hitl_jax.training.host_stage import Slots
+from hitl_jax.training.stage import Slots
 
 Act = Callable[[Any, chex.Array, chex.Array], tuple[Any, chex.Array]]
 """From acting states, what is seen [L, O] and who takes a step, bool [L], to the next states and

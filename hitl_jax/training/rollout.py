@@ -29,7 +29,8 @@ from hitl_jax.results.run_key import RunKey
 from hitl_jax.team.agent import Agent, behavior
 from hitl_jax.team.packed_decision import CHECKED_COLUMNS, flag_of
 from hitl_jax.training import compiled_batch
-from hitl_jax.training.host_stage import Slots, Tick, make_stage
+from hitl_jax.training.compiled_batch import Programs
+from hitl_jax.training.host_stage import HostStage
 from hitl_jax.training.learner_queue import LearnerSide
 from hitl_jax.training.run_spec import (
     Divergence,
@@ -49,6 +50,7 @@ from hitl_jax.training.saved_run import (
     facts_of,
     require_shapes,
 )
+from hitl_jax.training.stage import Slots, Stage, Tick
 from hitl_jax.training.step_booking import (
     complete,
     episode_of,
@@ -106,7 +108,7 @@ class Rollout:
         self._saved = {} if saved is None else saved
         longest = max((len(run.frames) for run in self._saved.values()), default=0)
         self._learner = LearnerSide(agent, config, slots, longest)
-        self._stage = make_stage(agent, pool, self._learner.programs)
+        self._stage = _make_stage(agent, pool, self._learner.programs)
         self._acting_shape = self._stage.words().shape[1:]
 
         self._saves = saved is not None
@@ -436,3 +438,18 @@ def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:
     devices = len(learning_devices())
     if pool.num_walkers % devices:
         raise ValueError(f"{pool.num_walkers} walkers do not divide over {devices} devices")
+
+
+def _make_stage(agent: Agent, pool: WalkerPool, programs: Programs) -> Stage:
+    """The device's stage for walkers that are on one, else the host's.
+
+    Args:
+        agent: the team.
+        pool: the walkers.
+        programs: of the batch.
+    """
+    if hasattr(pool, "blocks"):  # Of a JaxPool.
+        from hitl_jax.training.device_stage import DeviceStage
+
+        return DeviceStage(agent, pool, programs)  # type: ignore[arg-type]
+    return HostStage(agent, pool, programs)

@@ -69,7 +69,7 @@ def _written(function, parts, args):
     """The text of a kernel for a GPU, of the version in use."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gpu, "on_gpu", lambda: True)
-        return kernel.written(function, constants, args)
+        return kernel.written(function, parts, args)
 
 
 def _emulated(function, parts=(), block_size=None):
@@ -81,9 +81,9 @@ def _emulated(function, parts=(), block_size=None):
             lambda leaf: np.broadcast_to(leaf, (*np.shape(leaf)[:-1], batch)).copy(), args
         )
         # Not the same object: JAX would give what it has traced for a CPU.
-        text, told = _written(lambda *args: function(*args), constants, args)
+        text, told = _written(lambda *args: function(*args), parts, args)
         results = [np.zeros(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(told)]
-        threads = batch * math.prod(constants)
+        threads = batch * math.prod(parts)
         ptx_machine.run(text, threads, [*jax.tree.leaves(args), *results], block_size)
         return jax.tree.unflatten(jax.tree.structure(told), results)
 
@@ -92,7 +92,7 @@ def _emulated(function, parts=(), block_size=None):
 
 def _agree(function, args, parts=(), block_size=None):
     """The text does what the function does on a CPU."""
-    _are_close(_emulated(function, constants, block_size)(*args), jax.jit(function)(*args))
+    _are_close(_emulated(function, parts, block_size)(*args), jax.jit(function)(*args))
 
 
 def _are_close(got, expected):
@@ -215,8 +215,8 @@ def test_sine_and_cosine_are_as_good_as_float32(module):
 
 @pytest.mark.parametrize("parts", [(), (1,), (4,), (2, 2)])
 def test_threads_beyond_the_batch_do_nothing(version, parts):
-    shape = (*constants, 3)
-    text, _ = _written(lambda a: a + 1, constants, (np.zeros(shape, np.float32),))
+    shape = (*parts, 3)
+    text, _ = _written(lambda a: a + 1, parts, (np.zeros(shape, np.float32),))
     given = np.arange(math.prod(shape), dtype=np.float32)
     told = np.zeros(given.size + 2, np.float32)
     ptx_machine.run(text, given.size + 2, [given, told])
@@ -269,13 +269,13 @@ def test_threads_of_a_walker_go_round_together(neighbours):
 )
 def test_threads_that_may_not_come_to_an_exchange_are_refused(neighbours, function, parts):
     with pytest.raises(NotImplementedError, match="flipped, or in a branch"):
-        _written(function, constants, (np.zeros((*constants, 3), np.float32),))
+        _written(function, parts, (np.zeros((*parts, 3), np.float32),))
 
 
 @pytest.mark.parametrize(("axis", "parts"), [(-3, (2, 2)), (-2, (2, 2)), (-2, (4,)), (-1, ())])
 def test_one_thread_a_walker_is_told_nothing(axis, parts):
     with pytest.raises(NotImplementedError, match="flipped in a kernel"):
-        _written(lambda a: jnp.flip(a, axis), constants, (np.zeros((*constants, 3), np.float32),))
+        _written(lambda a: jnp.flip(a, axis), parts, (np.zeros((*parts, 3), np.float32),))
 
 
 @pytest.mark.parametrize(
@@ -283,8 +283,8 @@ def test_one_thread_a_walker_is_told_nothing(axis, parts):
     [(1002, 1, 132, 1), (4008, 4, 132, 4), (16_384, 4, 132, 16), (10**6, 4, 132, 32), (8, 4, 1, 4)],
 )
 def test_blocks_are_small_while_a_gpu_has_room(threads, parts, cores, block):
-    assert NeighbourThread.block_size(threads, constants, cores) == block
-    assert Thread.block_size(threads, constants, cores) == 32
+    assert NeighbourThread.block_size(threads, parts, cores) == block
+    assert Thread.block_size(threads, parts, cores) == 32
 
 
 def test_on_a_cpu_a_function_stays_itself():
