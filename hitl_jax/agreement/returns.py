@@ -10,7 +10,7 @@ import numpy as np
 from hitl_jax.analysis import stats
 from hitl_jax.console.timing import Row
 from hitl_jax.envs import Command, WalkerPool, make_pool
-from hitl_jax.evaluation.host import Evaluator, evaluate_policies
+from hitl_jax.evaluation.host import HostExaminer, evaluate_policies
 from hitl_jax.human import actions
 from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
 from hitl_jax.results.folder import ResultsFolder
@@ -63,7 +63,7 @@ def measure_trained(folders: tuple[str, ...], runs: int, episodes: int) -> list[
         away = HERE if home == THERE else THERE
         keys = able_to_play(folder)
         with make_pool(home, episodes) as known, make_pool(away, episodes) as strange:
-            evaluators = Evaluator(agent, known), Evaluator(agent, strange)
+            evaluators = HostExaminer(agent, known), HostExaminer(agent, strange)
             for key in keys[:: max(len(keys) // runs, 1)][:runs]:
                 spec, snapshot = load_trained(agent, folder, key)
                 means = []

@@ -23,7 +23,7 @@ from hitl_jax.config import require
 from hitl_jax.console.cli import checking_input, print_drawn
 from hitl_jax.envs import make_pool
 from hitl_jax.errors import BadInput, ResultsError
-from hitl_jax.evaluation.host import Evaluator, evaluate_policies
+from hitl_jax.evaluation.host import HostExaminer, evaluate_policies
 from hitl_jax.playback.episodes import playing_backend
 from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
 from hitl_jax.results.atomic_files import write_text_atomic
@@ -73,7 +73,7 @@ def main(options: AlarmOptions) -> int:
         keep_programs()
         rows: list[dict[str, Any]] = []
         with contextlib.closing(make_pool(playing_backend(folder), options.episodes)) as pool:
-            evaluator = Evaluator(agent, pool)
+            evaluator = HostExaminer(agent, pool)
             for number, key in enumerate(keys, start=1):
                 spec, end = load_trained(agent, folder, key)
                 boundaries = np.linspace(0.0, spec.hyper.boundary_high, NUM_BOUNDARIES)
@@ -92,7 +92,7 @@ def main(options: AlarmOptions) -> int:
 
 
 def _count(
-    agent: Agent, evaluator: Evaluator, spec: RunSpec, end: Snapshot, boundaries: np.ndarray
+    agent: Agent, evaluator: HostExaminer, spec: RunSpec, end: Snapshot, boundaries: np.ndarray
 ) -> AlarmCounts:
     indicator = jax.jit(jax.vmap(agent.indicator))
     sizes: list[np.ndarray] = []

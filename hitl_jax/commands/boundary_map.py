@@ -18,7 +18,7 @@ from hitl_jax.config import Method, require
 from hitl_jax.console.cli import checking_input, print_drawn
 from hitl_jax.envs import make_pool
 from hitl_jax.errors import BadInput, ResultsError
-from hitl_jax.evaluation.host import Evaluator, evaluate_policies
+from hitl_jax.evaluation.host import HostExaminer, evaluate_policies
 from hitl_jax.playback.episodes import playing_backend
 from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
 from hitl_jax.results.atomic_files import named_errors, read_bytes, write_text_atomic
@@ -84,7 +84,7 @@ def main(options: MapOptions) -> int:
         steps = np.zeros((_ANGLES.size - 1, _VELOCITIES.size - 1))
         sums = np.zeros_like(steps)
         with contextlib.closing(make_pool(playing_backend(folder), options.episodes)) as pool:
-            evaluator = Evaluator(agent, pool)
+            evaluator = HostExaminer(agent, pool)
             for key in keys:
                 visited = _visits(agent, evaluator, folder, key)
                 cells = (visited[:, 0], visited[:, 1])
@@ -156,7 +156,9 @@ def _cells(folder: ResultsFolder) -> list[np.ndarray]:
     return [angles, velocities, steps, boundary]
 
 
-def _visits(agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunKey) -> np.ndarray:
+def _visits(
+    agent: Agent, evaluator: HostExaminer, folder: ResultsFolder, key: RunKey
+) -> np.ndarray:
     """Hull angle, angular velocity and boundary of every step of the tests, [T, 3]."""
     spec, end = load_trained(agent, folder, key)
     layout = agent.layout

@@ -18,7 +18,7 @@ from hitl_jax.config import Method, require
 from hitl_jax.console.cli import checking_input
 from hitl_jax.envs import make_pool
 from hitl_jax.errors import BadInput, ResultsError
-from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.playback import film
 from hitl_jax.playback.episodes import (
     play_tests,
@@ -151,7 +151,7 @@ def _find_test(
             f"--episode {number}: {key} has {len(recorded)} episodes of the {options.phase} test"
         )
     with contextlib.closing(make_pool(playing_backend(folder), len(recorded))) as pool:
-        tests = play_tests(agent, Evaluator(agent, pool), folder, key, options.phase)
+        tests = play_tests(agent, HostExaminer(agent, pool), folder, key, options.phase)
     test = tests[number - 1]
     return test.seed, test.episode, float(recorded[number - 1])
 

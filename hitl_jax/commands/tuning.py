@@ -20,7 +20,7 @@ from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require_seeds
 from hitl_jax.console.cli import checking_input
 from hitl_jax.envs import make_pool, require_backend
 from hitl_jax.errors import BadInput
-from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import MOST_TEST_EPISODES, evaluate_runs
 from hitl_jax.results import atomic_files
 from hitl_jax.results.config_diff import completed
@@ -183,7 +183,7 @@ def _measure(
             seconds = time.monotonic() - started
             end = {"ticks": ticks, "seconds": seconds, **_returns([], lost)}
             stages += [end] * (_STAGES - len(stages))
-        evaluator = Evaluator(agent, test_pool)
+        evaluator = HostExaminer(agent, test_pool)
         left = [rollout.collect(run) for run in rollout.runs() if not run.done]
         ended = [*left, *lost]
         told = evaluate_runs(evaluator, ended, lambda _: ("autonomous",))

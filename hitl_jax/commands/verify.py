@@ -20,7 +20,7 @@ from hitl_jax.config import require
 from hitl_jax.console.cli import checking_input
 from hitl_jax.envs import make_pool
 from hitl_jax.errors import BadInput, ResultsError
-from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import Mode
 from hitl_jax.playback.episodes import (
     play_tests,
@@ -98,7 +98,7 @@ def _verify(agent: Agent, folder: ResultsFolder, key: RunKey) -> tuple[int, int]
     autonomous = select(run.tests, "mode", "autonomous")["return"]
     if len(autonomous) and not run.diverged:
         with contextlib.closing(make_pool(playing_backend(folder), len(autonomous))) as pool:
-            evaluator = Evaluator(agent, pool)
+            evaluator = HostExaminer(agent, pool)
             for mode in get_args(Mode):
                 recorded = select(run.tests, "mode", mode)["return"]
                 if len(recorded):

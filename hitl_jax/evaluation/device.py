@@ -22,17 +22,11 @@ from hitl_jax.team.agent import Agent
 from hitl_jax.training import device_ticks
 from hitl_jax.training.device_ticks import Moment, begins_with
 from hitl_jax.training.stage import Slots
-from hitl_jax.training.step_booking import (
-    complete,
-    episode_of,
-    finite_answer,
-    logged_layout,
-    step_width,
-)
+from hitl_jax.training.step_booking import end_of_step, episode_of, write_answer
 from hitl_jax.types import Behavior
 from hitl_jax.xla.devices import walker_devices
 
-_TABLE = 16
+_GROUP = 16
 """Episodes of one policy that are acted for together."""
 _CHUNK = 16
 _MOST_WALKERS = {"cpu": 1024}
@@ -42,7 +36,7 @@ _MOST_ELSEWHERE = 16_384
 def num_walkers(episodes: int, num_devices: int) -> int:
     """Walkers that play so many test episodes well: a power of two a device, at least 32.
 
-    More are of no use. (Two tables at least: of an axis of one XLA makes another program, which
+    More are of no use. (Two groups at least: of an axis of one XLA makes another program, which
     rounds otherwise.)
 
     Args:
@@ -52,7 +46,7 @@ def num_walkers(episodes: int, num_devices: int) -> int:
     devices = walker_devices(num_devices)
     most = _MOST_WALKERS.get(devices[0].platform, _MOST_ELSEWHERE)
     each = -(-min(episodes, most) // len(devices))
-    return len(devices) * max(1 << (each - 1).bit_length(), 2 * _TABLE)
+    return len(devices) * max(1 << (each - 1).bit_length(), 2 * _GROUP)
 
 
 class _Policy(NamedTuple):
@@ -62,14 +56,14 @@ class _Policy(NamedTuple):
     params: Behavior
 
 
-class _Seats(NamedTuple):
-    """Of T tables: their policies, leaves [T, ...], and acting states, leaves [T, 16, ...]."""
+class _GroupStates(NamedTuple):
+    """Policies of G groups, leaves [G, ...], and their acting states, leaves [G, 16, ...]."""
 
     policies: _Policy
     states: ActingState
 
 
-class _Guest(NamedTuple):
+class _GroupStart(NamedTuple):
     """A policy and its episodes, [16], with what their acting begins from; see `init_test`."""
 
     policy: _Policy
@@ -78,7 +72,7 @@ class _Guest(NamedTuple):
     episodes: chex.Array
 
 
-class _Sitting(NamedTuple):
+class _Group(NamedTuple):
     """Episodes of one policy.
 
     Attributes:
@@ -94,11 +88,11 @@ class _Sitting(NamedTuple):
     last: int
 
 
-class DeviceEvaluator:
-    """An `Examiner` for walkers on a device: tables of 16 of them, and at each a policy.
+class DeviceExaminer:
+    """An `Examiner` for walkers on a device: groups of 16, each of which plays one policy.
 
-    As soon as all episodes at a table have ended, the next ones sit down there, whatever run they
-    are of.
+    As soon as all episodes of a group have ended, its walkers play the next ones in the queue,
+    whatever run they are of.
     """
 
     def __init__(self, agent: Agent, pool: JaxPool, num_episodes: int):
@@ -120,38 +114,41 @@ class DeviceEvaluator:
     def play(self, trials: Sequence[Trial], between: Callable[[], None]) -> list[list[Row]]:
         """See `Examiner`."""
         queue = deque(
-            _Sitting(number, policy, first, min(first + _TABLE, trial.episodes) - 1)
+            _Group(number, policy, first, min(first + _GROUP, trial.episodes) - 1)
             for number, trial in enumerate(trials)
             for policy in range(len(trial.policies))
-            for first in range(0, trial.episodes, _TABLE)
+            for first in range(0, trial.episodes, _GROUP)
         )
         rows: list[list[Row]] = [
             [Row() for _ in range(len(trial.policies) * trial.episodes)] for trial in trials
         ]
-        rooms = [_Room(self._agent, self._pool, index) for index in range(len(self._pool.blocks))]
+        blocks = [
+            _DeviceWalkers(self._agent, self._pool, index)
+            for index in range(len(self._pool.blocks))
+        ]
         while True:
-            for room in rooms:
-                room.fill(trials, queue)
-            playing = [room for room in rooms if room.busy]
+            for block in blocks:
+                block.fill(trials, queue)
+            playing = [block for block in blocks if block.busy]
             if not playing:
                 return rows
-            for room in playing:
-                room.start(self._program)
-            for room in playing:
-                for sitting, place, row in room.finish():
-                    trial, episode = trials[sitting.trial], sitting.first + place
+            for block in playing:
+                block.start(self._program)
+            for block in playing:
+                for group, place, row in block.finish():
+                    trial, episode = trials[group.trial], group.first + place
                     said = {"mode": trial.mode, "episode": episode + 1, **row}
-                    rows[sitting.trial][sitting.policy * trial.episodes + episode] = said
+                    rows[group.trial][group.policy * trial.episodes + episode] = said
             between()
 
 
-class _Room:
-    """The walkers of one device, L, at their tables."""
+class _DeviceWalkers:
+    """The walkers of one device, L, in groups of 16."""
 
     def __init__(self, agent: Agent, pool: JaxPool, index: int):
         self._agent, self._pool, self._index = agent, pool, index
         lanes = len(jax.tree.leaves(pool.walkers[index])[0])
-        self._sittings: list[_Sitting | None] = [None] * (lanes // _TABLE)
+        self._groups: list[_Group | None] = [None] * (lanes // _GROUP)
         self._slots = Slots(
             active=np.zeros(lanes, bool),
             needs_reset=np.zeros(lanes, bool),
@@ -160,9 +157,9 @@ class _Room:
             observation=np.zeros((lanes, pool.observation_size), np.float32),
         )
         self._hypers = [RunHyper()] * lanes
-        self._logged = logged_layout(agent.layout)
-        self._log = EpisodeLog(lanes, step_width(self._logged))
-        self._seats: _Seats | None = None
+        self._logged = agent.layout.without_observation
+        self._log = EpisodeLog(lanes, self._logged.step_width)
+        self._states: _GroupStates | None = None
         self._told: tuple[chex.Array, ...] = ()
 
     @property
@@ -170,92 +167,95 @@ class _Room:
         """Whether an episode is under way."""
         return bool(self._slots.active.any())
 
-    def fill(self, trials: Sequence[Trial], queue: deque[_Sitting]) -> None:
-        """Gives free tables to those who wait."""
-        for table in range(len(self._sittings)):
-            lanes = slice(table * _TABLE, (table + 1) * _TABLE)
+    def fill(self, trials: Sequence[Trial], queue: deque[_Group]) -> None:
+        """Gives the groups whose episodes have all ended to the next in the queue."""
+        for place in range(len(self._groups)):
+            lanes = slice(place * _GROUP, (place + 1) * _GROUP)
             if queue and not self._slots.active[lanes].any():
-                self._sittings[table] = sitting = queue.popleft()
-                self._seat(table, lanes, trials[sitting.trial], sitting)
+                self._groups[place] = group = queue.popleft()
+                self._begin(place, lanes, trials[group.trial], group)
 
-    def _seat(self, table: int, lanes: slice, trial: Trial, sitting: _Sitting) -> None:
-        snapshot = trial.policies[sitting.policy]
+    def _begin(self, place: int, lanes: slice, trial: Trial, group: _Group) -> None:
+        snapshot = trial.policies[group.policy]
         hyper = typed(frozen(trial.spec.hyper, human_present=trial.mode == "assisted"))
-        guest = _Guest(
+        start = _GroupStart(
             _Policy(hyper, snapshot.behavior),
             snapshot.boundary,
             trial_key(trial.spec),
-            sitting.first + np.arange(_TABLE),
+            group.first + np.arange(_GROUP),
         )
-        guest = jax.device_put(guest, self._pool.blocks[self._index].device)
-        if self._seats is None:
-            self._seats = _tables(self._agent, len(self._sittings), guest)
+        start = jax.device_put(start, self._pool.blocks[self._index].device)
+        if self._states is None:
+            self._states = _repeated(self._agent, len(self._groups), start)
         else:
-            self._seats = _seated(self._agent, self._seats, table, guest)
-        plays = sitting.first + np.arange(_TABLE) <= sitting.last
-        seeds = terrain_seeds(trial.spec, sitting.last + 1)
+            self._states = _put(self._agent, self._states, place, start)
+        plays = group.first + np.arange(_GROUP) <= group.last
+        seeds = terrain_seeds(trial.spec, group.last + 1)
         self._slots.active[lanes] = self._slots.needs_reset[lanes] = plays
-        self._slots.seeds[lanes][plays, 0] = seeds[sitting.first :]
-        self._hypers[lanes] = [hyper] * _TABLE
+        self._slots.seeds[lanes][plays, 0] = seeds[group.first :]
+        self._hypers[lanes] = [hyper] * _GROUP
 
     def start(self, play: Callable[..., Any]) -> None:
         """Begins a chunk, by `_play`; does not wait for it."""
-        assert self._seats is not None
+        assert self._states is not None
         walkers = self._pool.walkers
         device = self._pool.blocks[self._index].device
         states, walkers[self._index], _, self._told = play(
-            self._seats.policies,
-            self._seats.states,
+            self._states.policies,
+            self._states.states,
             walkers[self._index],
             *jax.device_put(begins_with(self._slots), device),
         )
-        self._seats = self._seats._replace(states=states)
+        self._states = self._states._replace(states=states)
 
-    def finish(self) -> Iterator[tuple[_Sitting, int, Row]]:
+    def finish(self) -> Iterator[tuple[_Group, int, Row]]:
         """Waits for the chunk, and gives the episodes that ended in it."""
         slots, config, layout = self._slots, self._agent.config, self._agent.layout
         for decided, live, *played in zip(*jax.device_get(self._told), strict=True):
             answer, step = StepBatch(*played), np.array(decided)
-            finite = np.logical_and(*finite_answer(answer).values())
-            lost = slots.active & ~(finite & (live | slots.needs_reset))
+            begins = slots.active & slots.needs_reset
+            end = end_of_step(step, answer, layout, live, begins)
+            # Who neither steps nor begins had decided something that is not finite.
+            lost = slots.active & ~(end.sound & (live | begins))
             for lane in np.flatnonzero(lost).tolist():
                 yield self._ended(lane, lost_test())
-            live = live & finite
-            ended = live & complete(step, answer, layout)
-            self._log.add(live, step[:, layout.action.start :])
-            for lane in np.flatnonzero(ended).tolist():
+            write_answer(step, answer, layout)
+            self._log.add(live & end.sound, step[:, layout.action.start :])
+            for lane in np.flatnonzero(end.ended).tolist():
                 steps, hyper = self._log.of(lane), self._hypers[lane]
                 yield self._ended(lane, row_of(episode_of(steps, self._logged, config, hyper)))
             slots.needs_reset[:] = False
             slots.observation = answer.observation
 
-    def _ended(self, lane: int, row: Row) -> tuple[_Sitting, int, Row]:
+    def _ended(self, lane: int, row: Row) -> tuple[_Group, int, Row]:
         self._slots.active[lane] = False
         self._log.begin(lane)
-        table, place = divmod(lane, _TABLE)
-        sitting = self._sittings[table]
-        assert sitting is not None
-        return sitting, place, row
+        number, place = divmod(lane, _GROUP)
+        group = self._groups[number]
+        assert group is not None
+        return group, place, row
 
 
-def _table(agent: Agent, guest: _Guest) -> _Seats:
-    """One table at the first step of its episodes, policies' leaves [...], states' [16, ...]."""
-    one = functools.partial(init_test, agent, guest.policy.hyper, guest.boundary, guest.key)
-    return _Seats(guest.policy, jax.vmap(one)(guest.episodes))
+def _begun(agent: Agent, start: _GroupStart) -> _GroupStates:
+    """One group at the first step of its episodes, policy leaves [...], states [16, ...]."""
+    one = functools.partial(init_test, agent, start.policy.hyper, start.boundary, start.key)
+    return _GroupStates(start.policy, jax.vmap(one)(start.episodes))
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
-def _tables(agent: Agent, count: int, guest: _Guest) -> _Seats:
-    """The same guest at every table."""
-    seats: _Seats = jax.tree.map(lambda leaf: jnp.stack([leaf] * count), _table(agent, guest))
-    return seats
+def _repeated(agent: Agent, count: int, start: _GroupStart) -> _GroupStates:
+    """The same start for every group."""
+    states: _GroupStates = jax.tree.map(
+        lambda leaf: jnp.stack([leaf] * count), _begun(agent, start)
+    )
+    return states
 
 
 @functools.partial(jax.jit, static_argnums=0, donate_argnums=1)
-def _seated(agent: Agent, seats: _Seats, table: int, guest: _Guest) -> _Seats:
-    """A guest sits down at a table."""
-    one = _table(agent, guest)
-    after: _Seats = jax.tree.map(lambda leaf, new: leaf.at[table].set(new), seats, one)
+def _put(agent: Agent, states: _GroupStates, place: int, start: _GroupStart) -> _GroupStates:
+    """A start put in the place of one group."""
+    one = _begun(agent, start)
+    after: _GroupStates = jax.tree.map(lambda leaf, new: leaf.at[place].set(new), states, one)
     return after
 
 
@@ -269,15 +269,15 @@ def _play(
     seeds: chex.Array,
     first_left: chex.Array,
 ) -> tuple[ActingState, chex.ArrayTree, Moment, tuple[chex.Array, ...]]:
-    """A chunk of ticks of L walkers at T tables; see `device_ticks.play`."""
+    """A chunk of ticks of L walkers in G groups; see `device_ticks.play`."""
     step = functools.partial(packed_decision.act_or_begin, agent)
-    table = jax.vmap(step, in_axes=(None, None, 0, 0, 0))
+    group = jax.vmap(step, in_axes=(None, None, 0, 0, 0))
 
     def act(
         states: ActingState, observation: chex.Array, live: chex.Array
     ) -> tuple[ActingState, chex.Array]:
-        seen, stepping = (a.reshape(-1, _TABLE, *a.shape[1:]) for a in (observation, live))
-        after, decided = jax.vmap(table)(*policies, states, seen, stepping)
+        seen, stepping = (a.reshape(-1, _GROUP, *a.shape[1:]) for a in (observation, live))
+        after, decided = jax.vmap(group)(*policies, states, seen, stepping)
 
         def unless_idle(new: chex.Array, old: chex.Array) -> chex.Array:
             # An episode has begun already, by `init_test`.

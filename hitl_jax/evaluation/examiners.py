@@ -1,8 +1,8 @@
 """Which examiner a pool of walkers gets, and how many walkers it needs."""
 
 from hitl_jax.envs import WalkerPool
-from hitl_jax.evaluation.device import DeviceEvaluator, num_walkers
-from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.device import DeviceExaminer, num_walkers
+from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import Examiner
 from hitl_jax.team.agent import Agent
 
@@ -33,5 +33,5 @@ def make_examiner(agent: Agent, pool: WalkerPool, episodes: int) -> Examiner:
         episodes: of one test.
     """
     if hasattr(pool, "blocks"):  # Of a JaxPool.
-        return DeviceEvaluator(agent, pool, episodes)  # type: ignore[arg-type]
-    return Evaluator(agent, pool)
+        return DeviceExaminer(agent, pool, episodes)  # type: ignore[arg-type]
+    return HostExaminer(agent, pool)

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from hitl_jax.config import RunHyper, require_whole, typed
-from hitl_jax.envs import Command, StepBatch, WalkerPool
+from hitl_jax.envs import Command, WalkerPool
 from hitl_jax.envs.episode_log import EpisodeLog
 from hitl_jax.evaluation.trials import (
     Mode,
@@ -26,14 +26,7 @@ from hitl_jax.training.run_spec import (
     RunSpec,
     Snapshot,
 )
-from hitl_jax.training.step_booking import (
-    complete,
-    episode_of,
-    finite_answer,
-    finite_decision,
-    logged_layout,
-    step_width,
-)
+from hitl_jax.training.step_booking import end_of_step, episode_of, finite_decision, write_answer
 from hitl_jax.types import Behavior
 from hitl_jax.xla import full_registers
 from hitl_jax.xla.devices import acting_device
@@ -43,7 +36,7 @@ Watch = Callable[[np.ndarray, np.ndarray], None]
 [N, W + 6], and which walkers take the step, bool [N]."""
 
 
-class Evaluator:
+class HostExaminer:
     """An `Examiner` that plays the policies of one run at a time, a walker for each episode.
 
     Everything is frozen: no exploration, no learning, the boundary as training left it.
@@ -100,59 +93,99 @@ class Evaluator:
             ValueError: if there is no episode, or no walker for each.
         """
         require_whole("episodes", seeds.size, 1, self._pool.num_walkers)
-        hyper = typed(frozen(hyper, human_present=mode == "assisted"))
+        test = _Test(self._agent, self._pool, mode, hyper, seeds)
         # Committed to the acting device, the programs run there, a GPU or not.
-        placed, params, key = jax.device_put((hyper, params, key), acting_device())
-        config, layout = self._agent.config, self._agent.layout
-        num_policies, episodes = seeds.shape
-        width = full_registers.full(episodes)
-        state = _init(self._agent, placed, boundary, key, np.arange(width))
-        seen = np.zeros((num_policies, width, layout.observation_size), np.float32)
-        live = np.zeros((num_policies, width), bool)
-        logged = logged_layout(layout)
-        walkers = self._pool.num_walkers
-        log = EpisodeLog(walkers, step_width(logged))
-        rows: list[Row | None] = [None] * walkers
-        active = np.arange(walkers) < seeds.size
-        action = np.zeros((walkers, layout.action_size), np.float32)
-        decided = np.zeros((walkers, step_width(layout)), np.float32)
-        resets = np.zeros(walkers, np.uint32)
-        resets[: seeds.size] = seeds.ravel()
-        command = np.where(active, Command.RESET, Command.IDLE).astype(np.uint8)
-
-        def without(lost: np.ndarray) -> np.ndarray:
-            """Who goes on, bool [N], where some are lost; see `lost_test`."""
-            for walker in np.flatnonzero(active & lost).tolist():
-                place = {"mode": mode, "episode": walker % seeds.shape[1] + 1}
-                rows[walker] = place | lost_test()
-            return active & ~lost
-
-        answer = self._pool.step(command, action, resets)
-        active = without(_broken(answer))
-        while active.any():
-            seen[:, :episodes] = answer.observation[: seeds.size].reshape(*seeds.shape, -1)
-            live[:, :episodes] = active[: seeds.size].reshape(seeds.shape)
+        placed, params, key = jax.device_put((test.hyper, params, key), acting_device())
+        state = _init(self._agent, placed, boundary, key, np.arange(test.width))
+        test.begin()
+        while test.active.any():
+            seen, live = test.seen()
             state, packed = _act(self._agent, placed, params, state, seen, live)
-            decided[: seeds.size] = np.asarray(packed)[:, :episodes].reshape(seeds.size, -1)
-            # A policy of numbers that are not finite cannot act.
-            active = without(~finite_decision(decided, layout))
-            if watch is not None:
-                watch(decided, active)
-            command = np.where(active, Command.STEP, Command.IDLE).astype(np.uint8)
-            answer = self._pool.step(command, decided[:, layout.action], resets)
-            active = without(_broken(answer))
-            ended = active & complete(decided, answer, layout)
-            log.add(active, decided[:, layout.action.start :])
-            for walker in np.flatnonzero(ended).tolist():
-                row = row_of(episode_of(log.of(walker), logged, config, hyper))
-                rows[walker] = {"mode": mode, "episode": walker % seeds.shape[1] + 1, **row}
-                active[walker] = False
-        return [row for row in rows if row is not None]
+            test.step(np.asarray(packed), watch)
+        return test.rows()
 
 
-def _broken(answer: StepBatch) -> np.ndarray:
-    """Whose observation or reward is not finite, bool [N]."""
-    return ~np.logical_and(*finite_answer(answer).values())
+class _Test:
+    """The walkers of one test: an episode of each of K policies and E terrains.
+
+    Attributes:
+        hyper: the run's hyperparameters in a test, typed host scalars.
+        width: E, filled up; acting takes so many rows of a policy.
+        active: whose episode is under way, bool [N].
+    """
+
+    def __init__(
+        self, agent: Agent, pool: WalkerPool, mode: Mode, hyper: RunHyper, seeds: np.ndarray
+    ):
+        self._config, self._layout, self._pool, self._mode = agent.config, agent.layout, pool, mode
+        self.hyper = typed(frozen(hyper, human_present=mode == "assisted"))
+        self._seeds = seeds
+        self.width = full_registers.full(seeds.shape[1])
+        walkers = pool.num_walkers
+        self.active = np.arange(walkers) < seeds.size
+        self._resets = np.zeros(walkers, np.uint32)
+        self._resets[: seeds.size] = seeds.ravel()
+        self._logged = self._layout.without_observation
+        self._log = EpisodeLog(walkers, self._logged.step_width)
+        self._decided = np.zeros((walkers, self._layout.step_width), np.float32)
+        self._rows: list[Row | None] = [None] * walkers
+
+    def begin(self) -> None:
+        """Resets the walkers."""
+        idle = np.zeros_like(self.active)
+        command = np.where(self.active, Command.RESET, Command.IDLE).astype(np.uint8)
+        action = np.zeros((len(idle), self._layout.action_size), np.float32)
+        answer = self._pool.step(command, action, self._resets)
+        self._lose(~end_of_step(self._decided, answer, self._layout, idle, self.active).sound)
+        self._observation = answer.observation
+
+    def seen(self) -> tuple[np.ndarray, np.ndarray]:
+        """What each policy's walkers see, [K, width, O], and who takes a step, bool [K, width]."""
+        policies, episodes = self._seeds.shape
+        seen = np.zeros((policies, self.width, self._layout.observation_size), np.float32)
+        live = np.zeros((policies, self.width), bool)
+        own = self._seeds.size
+        seen[:, :episodes] = self._observation[:own].reshape(policies, episodes, -1)
+        live[:, :episodes] = self.active[:own].reshape(policies, episodes)
+        return seen, live
+
+    def step(self, packed: np.ndarray, watch: Watch | None) -> None:
+        """Plays a step of all episodes under way.
+
+        Args:
+            packed: what acting decided, [K, width, W + 6].
+            watch: sees the step before it is played.
+        """
+        layout, decided, own = self._layout, self._decided, self._seeds.size
+        decided[:own] = packed[:, : self._seeds.shape[1]].reshape(own, -1)
+        for finite in finite_decision(decided, layout).values():
+            self._lose(~finite)
+        if watch is not None:
+            watch(decided, self.active)
+        command = np.where(self.active, Command.STEP, Command.IDLE).astype(np.uint8)
+        answer = self._pool.step(command, decided[:, layout.action], self._resets)
+        end = end_of_step(decided, answer, layout, self.active, np.zeros_like(self.active))
+        self._lose(~end.sound)
+        write_answer(decided, answer, layout)
+        self._log.add(self.active, decided[:, layout.action.start :])
+        for walker in np.flatnonzero(end.ended).tolist():
+            steps = self._log.of(walker)
+            self._end(walker, row_of(episode_of(steps, self._logged, self._config, self.hyper)))
+        self._observation = answer.observation
+
+    def rows(self) -> list[Row]:
+        """A row for each episode, policy after policy."""
+        return [row for row in self._rows if row is not None]
+
+    def _lose(self, lost: np.ndarray) -> None:
+        """Ends the episodes under way in which something is not finite; see `lost_test`."""
+        for walker in np.flatnonzero(self.active & lost).tolist():
+            self._end(walker, lost_test())
+
+    def _end(self, walker: int, row: Row) -> None:
+        number = walker % self._seeds.shape[1] + 1
+        self._rows[walker] = {"mode": self._mode, "episode": number, **row}
+        self.active[walker] = False
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -182,7 +215,7 @@ def _act(
 
 
 def evaluate_policies(
-    evaluator: Evaluator,
+    evaluator: HostExaminer,
     mode: Mode,
     spec: RunSpec,
     policies: Sequence[Snapshot],

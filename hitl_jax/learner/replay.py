@@ -1,9 +1,10 @@
 """Replay of R runs in lockstep: one ring of frames, one cursor, each observation stored once.
 
-A frame is what happened at one tick of one run: the observation, and the step taken from it. The
-next observation is the next frame's, so nothing is stored twice. When an episode ends (terminated
-or truncated alike) the run spends one tick on the reset; that tick's frame is `final`: it holds the
-true last observation, no step was taken from it and it is never drawn as the start of a transition.
+A frame (`learner.frame`) is what happened at one tick of one run: the observation, and the step
+taken from it. The next observation is the next frame's, so nothing is stored twice. When an episode
+ends (terminated or truncated alike) the run spends one tick on the reset; that tick's frame is
+`final`: it holds the true last observation, no step was taken from it and it is never drawn as the
+start of a transition.
 
 A frame is stored in two parts, what was seen and done and what came of it: an n-step transition
 needs the first of two frames and the second of n, and reading memory is what drawing costs.
@@ -14,80 +15,18 @@ through `sample_boundary`: it needs three of its columns more than the task does
 """
 
 import dataclasses
-from typing import NamedTuple
 
 import chex
 import jax
 import jax.numpy as jnp
 from flax import struct
 
+from hitl_jax.learner.frame import Layout
 from hitl_jax.types import BoundaryTransition, Transition
 
 _DRAWS = 2
 """Draws for each start. Frames that are final are passed over; the chance that all draws are final
 is (episodes / frames)^2, and then the step beside the final frame is taken."""
-
-
-class Layout(NamedTuple):
-    """Columns of a packed frame, float32.
-
-    Attributes:
-        observation_size: O.
-        action_size: A.
-    """
-
-    observation_size: int
-    action_size: int
-
-    @property
-    def observation(self) -> slice:
-        """s_t."""
-        return slice(0, self.observation_size)
-
-    @property
-    def action(self) -> slice:
-        """The executed action."""
-        return slice(self.observation_size, self.observation_size + self.action_size)
-
-    @property
-    def reward(self) -> int:
-        """r_t of equation (7)."""
-        return self.observation_size + self.action_size
-
-    @property
-    def terminated(self) -> int:
-        """1 where the step ended the episode and the bootstrap."""
-        return self.reward + 1
-
-    @property
-    def truncated(self) -> int:
-        """1 where the step ended the episode but not the bootstrap."""
-        return self.reward + 2
-
-    @property
-    def final(self) -> int:
-        """1 where no step was taken."""
-        return self.reward + 3
-
-    @property
-    def boundary(self) -> int:
-        """τ_t."""
-        return self.reward + 4
-
-    @property
-    def next_boundary(self) -> int:
-        """τ_{t+1} of line 8."""
-        return self.reward + 5
-
-    @property
-    def boundary_reward(self) -> int:
-        """r'_t."""
-        return self.reward + 6
-
-    @property
-    def width(self) -> int:
-        """Number of columns."""
-        return self.reward + 7
 
 
 @struct.dataclass

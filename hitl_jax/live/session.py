@@ -20,13 +20,13 @@ import numpy as np
 from hitl_jax.config import typed
 from hitl_jax.envs.visible_walker import Answer, Plant
 from hitl_jax.errors import WalkerError
+from hitl_jax.learner.frame import flags_of
 from hitl_jax.live import person
 from hitl_jax.live.background_learner import Learning
 from hitl_jax.live.frame_store import Books
 from hitl_jax.live.labels import Label, judged
 from hitl_jax.live.setup import Setup
 from hitl_jax.results.episode_measures import Episode, Row, row_of
-from hitl_jax.team import packed_decision
 from hitl_jax.team.acting import ActingState, begin_episode, init_acting
 from hitl_jax.training import compiled_batch
 from hitl_jax.training.run_spec import episode_seed, method_index
@@ -269,7 +269,7 @@ class Session:
         decided = np.asarray(packed)
         if not np.isfinite(decided).all():
             raise WalkerError(f"frame {number}: the learner diverged: its numbers are not finite")
-        flags = {n: bool(v) for n, v in packed_decision.flags_of(decided[None], layout).items()}
+        flags = {n: bool(v) for n, v in flags_of(decided, layout)._asdict().items()}
         answer = self.plant.step(decided[layout.action])
         if not (np.isfinite(answer.observation).all() and np.isfinite(answer.reward)):
             raise WalkerError(f"frame {number}: what the walker answered is not finite")

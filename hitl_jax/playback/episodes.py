@@ -8,7 +8,7 @@ import numpy as np
 from hitl_jax.envs import WalkerPool, require_backend
 from hitl_jax.envs.episode_log import playback
 from hitl_jax.errors import ResultsError
-from hitl_jax.evaluation.host import Evaluator, evaluate_policies
+from hitl_jax.evaluation.host import HostExaminer, evaluate_policies
 from hitl_jax.evaluation.trials import Mode
 from hitl_jax.playback.load_trained import load_trained
 from hitl_jax.results.config_diff import changes
@@ -59,7 +59,7 @@ def returns_of(
 
 
 def play_tests(
-    agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunKey, mode: Mode
+    agent: Agent, evaluator: HostExaminer, folder: ResultsFolder, key: RunKey, mode: Mode
 ) -> list[PlayedTest]:
     """Plays a run's tests once more, from its parameters.
 

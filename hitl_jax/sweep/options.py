@@ -19,7 +19,7 @@ from hitl_jax.config import (
 )
 from hitl_jax.envs import BACKENDS
 from hitl_jax.evaluation.trials import MOST_TEST_EPISODES, milestones
-from hitl_jax.learner.replay import Layout
+from hitl_jax.learner.frame import Layout
 from hitl_jax.sweep import recorded_human, shards
 from hitl_jax.sweep.autosave import SAVE_SECONDS
 from hitl_jax.sweep.launchers import LaunchOptions

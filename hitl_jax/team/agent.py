@@ -14,6 +14,7 @@ from hitl_jax.config import AgentConfig, RunHyper, as_float32, traced
 from hitl_jax.human import actions
 from hitl_jax.human.indicator import Indicator, get_indicator
 from hitl_jax.learner import losses, networks, replay
+from hitl_jax.learner.frame import Layout
 from hitl_jax.types import (
     Behavior,
     BoundaryState,
@@ -90,9 +91,9 @@ class Agent(NamedTuple):
         )
 
     @property
-    def layout(self) -> replay.Layout:
+    def layout(self) -> Layout:
         """Columns of a frame in replay."""
-        return replay.Layout(self.config.observation_size, self.config.action_size)
+        return Layout(self.config.observation_size, self.config.action_size)
 
 
 def make_agent(

@@ -1,4 +1,4 @@
-"""What a tick of a run decided, packed into one row: a frame of the replay, then flags."""
+"""One tick of one run, packed into one row: a step, or what comes before an episode."""
 
 import functools
 
@@ -7,17 +7,10 @@ import jax
 import jax.numpy as jnp
 
 from hitl_jax.config import RunHyper
-from hitl_jax.learner.replay import Layout
+from hitl_jax.learner.frame import Flags, Frame, pack
 from hitl_jax.team.acting import ActingState, act, begin_episode
 from hitl_jax.team.agent import Agent
 from hitl_jax.types import Behavior
-
-EXTRA_COLUMNS = ("control", "began", "human_action", "human_reset", "alarmed", "dangerous")
-"""Columns of a packed decision behind those of the frame, in this order; each 0 or 1."""
-
-CHECKED_COLUMNS = ("action", "boundary")
-"""Of what was decided; a run ends where one of them is not finite. (An observation is looked at as
-it comes.)"""
 
 
 def act_or_begin(
@@ -28,7 +21,7 @@ def act_or_begin(
     observation: chex.Array,
     live: chex.Array,
 ) -> tuple[ActingState, chex.Array]:
-    """One tick of one run: a step where it is live, else the forgetting before an episode.
+    """One tick of one run: a step where the run is live, else it forgets the last episode.
 
     Args:
         agent: the team.
@@ -39,24 +32,22 @@ def act_or_begin(
         live: whether a step is taken at this tick, bool [].
 
     Returns:
-        The next acting state, and the packed frame with the decision behind it, [W + 6]: without
-        the reward and the endings, which the plant has yet to tell.
+        The next acting state, and the packed row (`learner.frame.pack`), [W + 6], without reward
+        and endings, which `training.step_booking` writes when the walker has answered.
     """
     stepped, decision = act(agent, hyper, params, state, observation)
     begun = begin_episode(agent, state)
     state = jax.tree.map(functools.partial(jnp.where, live), stepped, begun)
-    zero = jnp.zeros((), jnp.float32)
-    scalars = [zero, zero, zero, jnp.float32(1.0) - live, decision.boundary, decision.next_boundary]
-    scalars += [decision.boundary_reward, *(getattr(decision, name) for name in EXTRA_COLUMNS)]
-    tail = jnp.stack([jnp.asarray(value, jnp.float32) for value in scalars])
-    return state, jnp.concatenate([observation, decision.action, tail])
-
-
-def flag_of(rows: chex.Array, layout: Layout, name: str) -> chex.Array:
-    """One of `EXTRA_COLUMNS`, bool [...], from what acting gave, [..., W + 6]."""
-    return rows[..., layout.width + EXTRA_COLUMNS.index(name)] > 0.5
-
-
-def flags_of(rows: chex.Array, layout: Layout) -> dict[str, chex.Array]:
-    """All of `EXTRA_COLUMNS` by name, see `flag_of`."""
-    return {name: flag_of(rows, layout, name) for name in EXTRA_COLUMNS}
+    unknown = jnp.zeros((), jnp.float32)
+    frame = Frame(
+        observation=observation,
+        action=decision.action,
+        reward=unknown,
+        terminated=unknown,
+        truncated=unknown,
+        final=jnp.float32(1.0) - live,
+        boundary=decision.boundary,
+        next_boundary=decision.next_boundary,
+        boundary_reward=decision.boundary_reward,
+    )
+    return state, pack(frame, Flags(*(getattr(decision, name) for name in Flags._fields)))

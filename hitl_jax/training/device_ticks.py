@@ -1,6 +1,8 @@
 """A chunk of ticks as one program on the device: acting, walkers and all between them."""
 
 import dataclasses
+import functools
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -9,11 +11,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax.envs import Command
+from hitl_jax.envs import Command, StepBatch
 from hitl_jax.envs.jax_pool import tick
-from hitl_jax.learner.replay import Layout
-from hitl_jax.team import packed_decision
+from hitl_jax.learner.frame import Layout
 from hitl_jax.training.stage import Slots
+from hitl_jax.training.step_booking import end_of_step, finite_decision
 
 Act = Callable[[Any, chex.Array, chex.Array], tuple[Any, chex.Array]]
 """From acting states, what is seen [L, O] and who takes a step, bool [L], to the next states and
@@ -65,30 +67,29 @@ def play(
         States and walkers after it, what it ends with, and of each tick what was decided
         [U, L, W + 6], who took a step [U, L], and the fields of `StepBatch`.
     """
-    checked_columns = [getattr(layout, name) for name in packed_decision.CHECKED_COLUMNS]
 
     def one(carry: Any, _: None) -> tuple[Any, tuple[chex.Array, ...]]:
         state, walkers, (active, needs_reset, left, observation) = carry
         live = active & ~needs_reset
         state, decided = act(state, observation, live)
-        checked = jnp.column_stack([decided[:, columns] for columns in checked_columns])
-        sound = jnp.isfinite(checked).all(axis=1) | ~live
+        sound = functools.reduce(operator.and_, finite_decision(decided, layout).values()) | ~live
         active, live = active & sound, live & sound
         begins = active & needs_reset
         due = (first_left - left)[:, None]
         seed = jnp.take_along_axis(seeds, due, axis=1, mode="clip")[:, 0]
         command = jnp.where(live, Command.STEP, jnp.where(begins, Command.RESET, Command.IDLE))
-        action = decided[:, layout.action]
-        walkers, step = tick(walkers, command, action, seed)
-        observation = jnp.where((live | begins)[:, None], step.observation, observation)
-        reward = jnp.where(live, step.reward, 0.0)
-        active = active & jnp.isfinite(reward) & jnp.isfinite(observation).all(axis=1)
-        human_reset = packed_decision.flag_of(decided, layout, "human_reset")
-        terminated, truncated = live & step.terminated, live & step.truncated
-        ended = live & (terminated | truncated | human_reset)
-        left = left - ended
-        told = decided, live, observation, reward, terminated, truncated
-        return (state, walkers, Moment(active & (left > 0), ended, left, observation)), told
+        walkers, step = tick(walkers, command, decided[:, layout.action], seed)
+        told: dict[str, Any] = {
+            "observation": jnp.where((live | begins)[:, None], step.observation, observation),
+            "reward": jnp.where(live, step.reward, 0.0),
+            "terminated": live & step.terminated,
+            "truncated": live & step.truncated,
+        }
+        answer = StepBatch(**told)  # Of JAX's arrays.
+        end = end_of_step(decided, answer, layout, live, begins)
+        active, left = active & end.sound, left - end.ended
+        begin = Moment(active & (left > 0), end.ended, left, answer.observation)
+        return (state, walkers, begin), (decided, live, *answer)
 
     carry, told = jax.lax.scan(one, (state, walkers, begin), None, length=count)
     return *carry, told

@@ -4,7 +4,7 @@
 played.)
 
 Time is cut into ticks (one step of every walker) and chunks of U ticks. While the walkers play
-chunk i+1, the device learns from chunk i, or still from chunk i−1: up to `learner_side.LAG` calls
+chunk i+1, the device learns from chunk i, or still from chunk i−1: up to `learner_queue.LAG` calls
 of the learner are under way, so that neither side waits for the other at the end of a chunk. The
 parameters that act in chunk i+1 are those learned up to chunk i−`LAG`. The lag is part of a run's
 definition: it is the same whatever the machine's speed.
@@ -21,25 +21,19 @@ import numpy as np
 
 from hitl_jax.config import require, typed
 from hitl_jax.envs import WalkerPool
-from hitl_jax.envs.episode_log import EpisodeLog
 from hitl_jax.results import recorded_episodes
-from hitl_jax.results.episode_measures import row_of
-from hitl_jax.results.recorded_episodes import STEP_COLUMNS, Recording, names_of
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.team.agent import Agent, behavior
-from hitl_jax.team.packed_decision import CHECKED_COLUMNS, flag_of
 from hitl_jax.training import compiled_batch
 from hitl_jax.training.compiled_batch import Programs
 from hitl_jax.training.host_stage import HostStage
 from hitl_jax.training.learner_queue import LearnerSide
 from hitl_jax.training.run_spec import (
-    Divergence,
     FinishedRun,
     LoopConfig,
     Run,
     RunSpec,
     Snapshot,
-    episode_seed,
     method_index,
 )
 from hitl_jax.training.saved_run import (
@@ -49,17 +43,10 @@ from hitl_jax.training.saved_run import (
     cannot_return,
     facts_of,
     require_shapes,
+    restore_record,
 )
-from hitl_jax.training.stage import Slots, Stage, Tick
-from hitl_jax.training.step_booking import (
-    complete,
-    episode_of,
-    finite_answer,
-    frames_of,
-    logged_layout,
-    recorded_steps,
-    step_width,
-)
+from hitl_jax.training.stage import Stage, Tick
+from hitl_jax.training.tick_recorder import TickRecorder
 from hitl_jax.xla.devices import learning_devices
 
 
@@ -108,30 +95,16 @@ class Rollout:
         self._saved = {} if saved is None else saved
         longest = max((len(run.frames) for run in self._saved.values()), default=0)
         self._learner = LearnerSide(agent, config, slots, longest)
-        self._stage = _make_stage(agent, pool, self._learner.programs)
+        self._stage = make_stage(agent, pool, self._learner.programs)
         self._acting_shape = self._stage.words().shape[1:]
-
         self._saves = saved is not None
+        self._recorder = TickRecorder(agent.config, agent.layout, pool, config)
         self._recent = [np.zeros((slots, 0, self._layout.width), np.float32)]
-        self._logged = logged_layout(agent.layout)
-        self._recorded_width = pool.action_size + len(STEP_COLUMNS)
-        self._unsaved = np.zeros(slots, int)  # frames since a run was seated or saved
-        self._log = EpisodeLog(slots, step_width(self._logged))
-        self._intervened = np.zeros(slots, bool)  # in the episode under way, before this chunk
+        self._unsaved = np.zeros(slots, int)  # Frames since a run got its slot, or was saved.
         self._queue = deque(sorted(specs, key=lambda spec: spec.key not in self._saved))
-        self._runs: list[Run | None] = [None] * slots
         self._held: set[RunKey] = set()
-        self._slots = Slots(
-            active=np.zeros(slots, bool),
-            needs_reset=np.zeros(slots, bool),
-            # No two chunks can begin more episodes: one of a step and a reset takes two ticks.
-            seeds=np.zeros((slots, config.chunk + 1), np.uint32),
-            left=np.zeros(slots, np.int32),
-            observation=np.zeros((slots, pool.observation_size), np.float32),
-        )
-        self._feedback = np.zeros(slots)
         self._ahead: _Chunk | None = None
-        self._seat_all(self._learner.order())
+        self._fill(self._learner.order())
 
     def __iter__(self) -> Iterator[list[FinishedRun]]:
         """Plays chunk after chunk; gives the runs that finished in each.
@@ -147,7 +120,7 @@ class Rollout:
 
     def runs(self) -> list[Run]:
         """The runs under way, and those that have just been given as finished."""
-        return [run for run in self._runs if run is not None]
+        return self._recorder.runs()
 
     def hold(self, ended: Sequence[FinishedRun]) -> None:
         """Lets runs that were given keep their slots, so that they are saved, until `release`."""
@@ -180,7 +153,7 @@ class Rollout:
         for run in self.runs():
             saved.append(
                 SavedRun(
-                    facts=facts_of(run, begun=not self._slots.needs_reset[run.slot]),
+                    facts=facts_of(run, begun=not self._recorder.slots.needs_reset[run.slot]),
                     train=train[run.slot],
                     acting=acting[run.slot],
                     behavior=learned[run.slot],
@@ -188,9 +161,11 @@ class Rollout:
                         [compiled_batch.flat(kept.behavior) for kept in run.snapshots]
                     ),
                     boundaries=np.array([kept.boundary for kept in run.snapshots]),
-                    observation=self._slots.observation[run.slot].copy(),
-                    steps=self._log.of(run.slot),
-                    recordings=recorded_episodes.join(run.recordings, self._recorded_width),
+                    observation=self._recorder.slots.observation[run.slot].copy(),
+                    steps=self._recorder.unfinished(run.slot),
+                    recordings=recorded_episodes.join(
+                        run.recordings, self._recorder.recorded_width
+                    ),
                     frames=recent[run.slot, max(recent.shape[1] - self._unsaved[run.slot], 0) :],
                 )
             )
@@ -221,12 +196,17 @@ class Rollout:
     def _begin_chunk(self) -> _Chunk:
         packed, finite = self._learner.parameters()
         self._stage.prepare(packed)
-        return _Chunk(finite, self._stage.ticks(self._slots, finite, self._config.chunk))
+        return _Chunk(finite, self._stage.ticks(self._recorder.slots, finite, self._config.chunk))
 
     def _book(self, chunk: _Chunk) -> list[FinishedRun]:
         """Notes what the walkers did, and has the learner learn from it."""
-        self._stop_diverged("parameters", chunk.finite)
-        frames = self._frames_of(chunk.ticks)
+        self._recorder.stop_diverged("parameters", chunk.finite)
+        frames = self._recorder.book(chunk.ticks)
+        self._unsaved += self._config.chunk
+        if self._saves:
+            self._recent.append(frames)
+            if len(self._recent) > self._config.frames // self._config.chunk:
+                del self._recent[0]  # The replay has forgotten it.
         for run in self.runs():
             self._keep_snapshots(run)
         ended = [self.collect(run) for run in self._not_held(self.runs()) if run.done]
@@ -240,76 +220,55 @@ class Rollout:
 
     def _replace(self, ended: Sequence[Run]) -> None:
         """Gives the slots of runs that have ended, and still have them, to others."""
-        slots = [run.slot for run in ended if self._runs[run.slot] is run]
+        slots = [run.slot for run in ended if self._recorder.has_slot(run)]
         if slots and self._queue:
             self._catch_up()
         for slot in slots:
-            self._runs[slot] = None
-        self._seat_all(slots)
+            self._recorder.end(slot)
+        self._fill(slots)
 
-    def _seat_all(self, slots: Sequence[int]) -> None:
+    def _fill(self, slots: Sequence[int]) -> None:
         """Gives slots to the next runs in the queue; saved ones go on where they were."""
+        recorder = self._recorder
         back: dict[int, np.ndarray] = {}
         for slot in slots:
             if not self._queue:
                 break
             spec = self._queue.popleft()
-            self._seat(slot, spec)
+            run = self._begin_run(slot, spec)
             saved = self._saved.pop(spec.key, None)
             if saved is not None:
                 try:
-                    self._take_up(slot, saved)
+                    self._restore_run(run, saved)
                 except (ValueError, TypeError, IndexError) as error:
                     raise cannot_return(spec.key, error) from error
-                if self._slots.live[slot]:
-                    back[slot] = saved.steps[:, self._logged.action]
+                if recorder.slots.live[slot]:
+                    back[slot] = saved.steps[:, recorder.logged.action]
         try:
-            bring_back(self._pool, self._slots.seeds[:, 0], back, self._slots.observation)
+            bring_back(self._pool, recorder.slots.seeds[:, 0], back, recorder.slots.observation)
         except ValueError as error:  # Of actions that no run takes.
             raise cannot_return(spec.key, error) from error
 
-    def _seat(self, slot: int, spec: RunSpec) -> None:
+    def _begin_run(self, slot: int, spec: RunSpec) -> Run:
         """Gives a slot to a run at its beginning."""
         learning, acting, _ = compiled_batch.run_keys(spec.seed, method_index(spec.method))
         hyper = typed(spec.hyper)
         self._learner.seat(slot, hyper, learning)
         self._stage.seat(slot, hyper, acting)
-        self._runs[slot] = run = Run(spec=spec, slot=slot)
         self._unsaved[slot] = 0
-        self._log.begin(slot)
-        self._intervened[slot] = False
-        self._slots.active[slot] = True
-        self._slots.needs_reset[slot] = True
-        self._look_ahead(run)
-        self._feedback[slot] = spec.hyper.feedback
+        run = Run(spec=spec, slot=slot)
+        self._recorder.begin(run)
+        return run
 
-    def _take_up(self, slot: int, saved: SavedRun) -> None:
-        """Makes of a seated run what it was when it was saved, but for its walker."""
-        run = self._runs[slot]
-        assert run is not None
+    def _restore_run(self, run: Run, saved: SavedRun) -> None:
+        """Makes of a run that has begun what it was when it was saved, but for its walker."""
         self._check_fit(saved, run.spec)
         if not self._pool.seedable:
             saved = between_episodes(saved, self._layout)
-        self._learner.restore(slot, saved.train, saved.behavior, saved.frames)
-        self._stage.restore(slot, saved.acting)
-        facts = saved.facts
-        run.episodes = list(facts["episodes"])
-        run.ticks, run.env_steps, run.updates = (
-            facts[name] for name in ("ticks", "env_steps", "updates")
-        )
-        run.started -= facts["seconds"]
-        run.diverged = Divergence(*facts["diverged"]) if facts["diverged"] else None
-        due = run.spec.snapshots[: len(saved.snapshots)]
-        kept = zip(due, self._learner.behaviors(saved.snapshots), saved.boundaries, strict=True)
-        run.snapshots = [Snapshot(*one) for one in kept]
-        self._log.begin(slot, saved.steps)
-        self._intervened[slot] = flag_of(saved.steps, self._logged, "control").any()
-        run.recordings = recorded_episodes.split(facts["recordings"], saved.recordings)
-        run.done = len(run.episodes) >= run.spec.episodes or run.diverged is not None
-        self._slots.active[slot] = not run.done
-        self._slots.needs_reset[slot] = not facts["begun"]
-        self._slots.observation[slot] = saved.observation
-        self._look_ahead(run)
+        self._learner.restore(run.slot, saved.train, saved.behavior, saved.frames)
+        self._stage.restore(run.slot, saved.acting)
+        restore_record(run, saved, self._learner.behaviors(saved.snapshots))
+        self._recorder.restore(run, saved)
 
     def _check_fit(self, saved: SavedRun, spec: RunSpec) -> None:
         """Raises CannotReturn unless the arrays are as this agent's are."""
@@ -319,8 +278,8 @@ class Rollout:
             "acting": self._acting_shape,
             "observation": (self._layout.observation_size,),
             "frames": (len(saved.frames), self._layout.width),
-            "steps": (len(saved.steps), step_width(self._logged)),
-            "recordings": (len(saved.recordings), self._recorded_width),
+            "steps": (len(saved.steps), self._recorder.logged.step_width),
+            "recordings": (len(saved.recordings), self._recorder.recorded_width),
             "snapshots": (
                 min(len(saved.snapshots), len(spec.snapshots)),
                 *shapes["behavior"][1:] * bool(len(saved.snapshots)),
@@ -339,89 +298,12 @@ class Rollout:
     def _boundary_of(self, run: Run) -> np.ndarray:
         return self._stage.boundaries()[run.slot]
 
-    def _frames_of(self, ticks: Iterator[Tick]) -> np.ndarray:
-        """Notes a chunk of ticks; gives the frames for the replay, [R, U, W]."""
-        layout, slots = self._layout, self._slots
-        shape = len(self._runs), self._config.chunk, step_width(layout)
-        steps = np.zeros(shape, np.float32)
-        for place, tick in enumerate(ticks):
-            live, step = slots.live, steps[:, place]
-            step[:] = tick.decided
-            if not np.isfinite(step).all():
-                for name in CHECKED_COLUMNS:
-                    part = step[:, getattr(layout, name)].reshape(len(step), -1)
-                    self._stop_diverged(name, np.isfinite(part).all(axis=1) | ~live)
-                live &= slots.active
-            answer = tick.answer(live)
-            moved = live | (slots.active & slots.needs_reset)
-            for name, finite in finite_answer(answer).items():
-                if not finite.all():
-                    self._stop_diverged(name, finite | ~moved)
-                    live &= slots.active
-            ended = live & complete(step, answer, layout)
-            self._log.add(live, step[:, layout.action.start :])
-            slots.needs_reset[:] = False
-            slots.observation = answer.observation.copy()
-            for slot in ended.nonzero()[0].tolist():
-                self._end_episode(slot)
-        frames, self._intervened = frames_of(
-            steps, layout, self._agent.config, self._feedback, self._intervened
-        )
-        for run in self.runs():
-            run.ticks += self._config.chunk
-        self._unsaved += self._config.chunk
-        if self._saves:
-            self._recent.append(frames)
-            if len(self._recent) > self._config.frames // self._config.chunk:
-                del self._recent[0]  # The replay has forgotten it.
-        return frames
-
-    def _end_episode(self, slot: int) -> None:
-        run = self._runs[slot]
-        assert run is not None
-        steps, hyper = self._log.of(slot), run.spec.hyper
-        row = row_of(episode_of(steps, self._logged, self._agent.config, hyper))
-        run.env_steps += len(steps)
-        run.episodes.append({"episode": len(run.episodes) + 1, "env_steps": run.env_steps, **row})
-        for name in names_of(run.episodes, run.recordings):
-            kept = recorded_steps(steps, self._logged, hyper)
-            run.recordings[name] = Recording(len(run.episodes), kept)
-        self._log.begin(slot)
-        slots, ended = self._slots, len(run.episodes)
-        slots.needs_reset[slot] = True
-        slots.left[slot] -= 1
-        seeds = slots.seeds[slot]
-        seeds[:-1] = seeds[1:]
-        seeds[-1] = episode_seed(run.spec.method, run.spec.seed, ended + len(seeds) - 1)
-        if ended == run.spec.episodes:
-            run.done = True
-            slots.active[slot] = False
-
-    def _look_ahead(self, run: Run) -> None:
-        """Notes the episodes that a run has yet to play, and the seeds of the next ones."""
-        spec, slots, ended = run.spec, self._slots, len(run.episodes)
-        slots.left[run.slot] = spec.episodes - ended
-        slots.seeds[run.slot] = [
-            episode_seed(spec.method, spec.seed, ended + later)
-            for later in range(slots.seeds.shape[1])
-        ]
-
-    def _stop_diverged(self, quantity: str, finite: np.ndarray) -> None:
-        """Ends the runs that are active and of which something is not finite, bool [R]."""
-        for slot in np.flatnonzero(self._slots.active & ~finite).tolist():
-            run = self._runs[slot]
-            assert run is not None
-            steps = run.env_steps + self._log.length_of(slot)
-            run.diverged = Divergence(quantity, steps, len(run.episodes))
-            run.done = True
-            self._slots.active[slot] = False
-
     def _learn(self, frames: np.ndarray) -> None:
         """Starts the learner on a chunk; does not wait for it."""
         slots = []
         for run in self.runs():
-            needed = max(2 * self._config.chunk, self._agent.config.n_step + 2)
-            warm = max(run.spec.hyper.warmup_steps, needed)
+            n_step, hyper = self._agent.config.n_step, run.spec.hyper
+            warm = self._config.warmup_ticks(hyper.warmup_steps, n_step)
             if not run.done and run.ticks >= warm:
                 slots.append(run.slot)
                 run.updates += self._learner.num_updates
@@ -440,7 +322,7 @@ def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:
         raise ValueError(f"{pool.num_walkers} walkers do not divide over {devices} devices")
 
 
-def _make_stage(agent: Agent, pool: WalkerPool, programs: Programs) -> Stage:
+def make_stage(agent: Agent, pool: WalkerPool, programs: Programs) -> Stage:
     """The device's stage for walkers that are on one, else the host's.
 
     Args:

@@ -6,7 +6,7 @@ brought back by playing them again.
 
 import dataclasses
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,10 +14,11 @@ import numpy as np
 from hitl_jax.envs import WalkerPool
 from hitl_jax.envs.episode_log import playback
 from hitl_jax.errors import ResultsError
-from hitl_jax.learner.replay import Layout
+from hitl_jax.learner.frame import Layout
 from hitl_jax.results import recorded_episodes
 from hitl_jax.results.run_key import RunKey
-from hitl_jax.training.run_spec import Run
+from hitl_jax.training.run_spec import Divergence, Run, Snapshot
+from hitl_jax.types import Behavior
 
 _ANEW = "remove under_way from the results to begin its runs anew"
 
@@ -111,6 +112,27 @@ def facts_of(run: Run, begun: bool) -> dict[str, Any]:
         "recordings": recorded_episodes.index(run.recordings),
         "episodes": list(run.episodes),
     }
+
+
+def restore_record(run: Run, saved: SavedRun, behaviors: Sequence[Behavior]) -> None:
+    """Gives a run the record that it had when it was saved: episodes, counters, snapshots.
+
+    Args:
+        run: at its beginning; changed.
+        saved: the run as it was.
+        behaviors: what acting needed at each of its snapshots.
+    """
+    facts = saved.facts
+    run.episodes = list(facts["episodes"])
+    run.ticks, run.env_steps, run.updates = (
+        facts[name] for name in ("ticks", "env_steps", "updates")
+    )
+    run.started -= facts["seconds"]
+    run.diverged = Divergence(*facts["diverged"]) if facts["diverged"] else None
+    due = run.spec.snapshots[: len(saved.snapshots)]
+    run.snapshots = [Snapshot(*one) for one in zip(due, behaviors, saved.boundaries, strict=True)]
+    run.recordings = recorded_episodes.split(facts["recordings"], saved.recordings)
+    run.done = len(run.episodes) >= run.spec.episodes or run.diverged is not None
 
 
 def between_episodes(saved: SavedRun, layout: Layout) -> SavedRun:

@@ -1,66 +1,107 @@
-"""Steps: what acting decided, packed by `team.packed_decision`, and what the plant answered.
+"""How a step ends, and what is kept of it.
 
-The replay learns from frames, which are steps as the human's feedback shapes them; the host keeps
-the steps of an episode, from the action on, until the episode has ended (host, NumPy).
+`end_of_step` is the one rule by which an episode ends and by which numbers count as not finite: in
+training on the host and on the device, in both examiners, and in a live session. The rest is NumPy:
+the replay learns from frames, which are steps as the human's feedback shapes them; the host keeps
+the steps of an episode, from the action on, until the episode has ended.
 """
 
 import functools
+from typing import NamedTuple
 
+import chex
 import numpy as np
 
 from hitl_jax.config import AgentConfig, RunHyper
 from hitl_jax.envs import StepBatch
-from hitl_jax.learner.replay import Layout
+from hitl_jax.learner.frame import Layout, flag_of, flags_of
 from hitl_jax.results.episode_measures import Episode
 from hitl_jax.results.recorded_episodes import STEP_COLUMNS
 from hitl_jax.team import arbiter
-from hitl_jax.team.packed_decision import CHECKED_COLUMNS, EXTRA_COLUMNS, flag_of
 
 
-def step_width(layout: Layout) -> int:
-    """Columns of a step, W + 6."""
-    return layout.width + len(EXTRA_COLUMNS)
+class StepEnd(NamedTuple):
+    """What a tick came to, for N walkers; NumPy or JAX arrays, as they were given.
+
+    Attributes:
+        finite: whether what the walkers answered is finite, bool [N] each, by quantity:
+            `observation`, `reward`. True where a walker was not moved.
+        ended: whether the episode ends with this step, bool [N].
+    """
+
+    finite: dict[str, chex.Array]
+    ended: chex.Array
+
+    @property
+    def sound(self) -> chex.Array:
+        """Whether all that was answered is finite, bool [N]."""
+        return self.finite["observation"] & self.finite["reward"]
 
 
-def logged_layout(layout: Layout) -> Layout:
-    """The columns of a step that is kept, which begins with the action."""
-    return layout._replace(observation_size=0)
+def finite_decision(rows: chex.Array, layout: Layout) -> dict[str, chex.Array]:
+    """Whether what acting decided is finite, bool [N] each, by quantity: `action`, `boundary`.
 
-
-def finite_decision(decided: np.ndarray, layout: Layout) -> np.ndarray:
-    """Whether all that is checked of what acting gave is finite, bool [N].
+    Asked before the step is taken: a walker is not told numbers that are not finite.
 
     Args:
-        decided: of N walkers, [N, W + 6].
-        layout: its columns.
+        rows: packed ticks, [N, W + 6].
+        layout: their columns.
     """
-    columns = [decided[:, getattr(layout, name)] for name in CHECKED_COLUMNS]
-    return np.isfinite(np.column_stack(columns)).all(axis=1)
-
-
-def finite_answer(answer: StepBatch) -> dict[str, np.ndarray]:
-    """Whether the observation and the reward that the plant answered are finite, bool [N] each."""
+    isfinite = rows.__array_namespace__().isfinite
     return {
-        "observation": np.isfinite(answer.observation).all(axis=1),
-        "reward": np.isfinite(answer.reward),
+        "action": isfinite(rows[:, layout.action]).all(axis=1),
+        "boundary": isfinite(rows[:, layout.boundary]),
     }
 
 
-def complete(decided: np.ndarray, answer: StepBatch, layout: Layout) -> np.ndarray:
-    """Writes what the plant answered into what acting gave.
+def end_of_step(
+    rows: chex.Array, answer: StepBatch, layout: Layout, live: chex.Array, begins: chex.Array
+) -> StepEnd:
+    """Whether a step ended its episode, and whether what the walkers answered is finite.
+
+    An episode ends where the environment terminates it (a fall, the goal) or truncates it (its time
+    is up), and where the human resets the walker. Where something is not finite, nothing that was
+    answered counts: a run diverges there, a test episode is lost.
 
     Args:
-        decided: of N walkers, [N, W + 6]; changed.
+        rows: packed ticks, [N, W + 6].
         answer: of the walkers.
-        layout: its columns.
+        layout: columns of the rows.
+        live: who took a step, bool [N].
+        begins: who was reset, bool [N].
+    """
+    isfinite = answer.reward.__array_namespace__().isfinite
+    finite = {
+        "observation": isfinite(answer.observation).all(axis=1) | ~(live | begins),
+        "reward": isfinite(answer.reward) | ~live,
+    }
+    ended = answer.terminated | answer.truncated | flag_of(rows, layout, "human_reset")
+    return StepEnd(finite, live & finite["observation"] & finite["reward"] & ended)
+
+
+def write_answer(rows: np.ndarray, answer: StepBatch, layout: Layout) -> None:
+    """Writes what the walkers answered into packed ticks [N, W + 6], in place (NumPy)."""
+    rows[:, layout.reward] = answer.reward
+    rows[:, layout.terminated] = answer.terminated
+    rows[:, layout.truncated] = answer.truncated
+
+
+def stored_ends(
+    terminated: np.ndarray, truncated: np.ndarray, human_reset: np.ndarray, reset_terminates: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """How an end is stored: whether with the bootstrap, and whether without, bool [...] each.
+
+    Args:
+        terminated: the environment ended the task, bool [...].
+        truncated: the environment cut the episode off, bool [...].
+        human_reset: the human ended the episode, bool [...].
+        reset_terminates: whether that ends the bootstrap.
 
     Returns:
-        Whether the episode ends, bool [N]; means nothing where no step was taken.
+        `terminated` and `truncated` of the stored frame; at most one is true.
     """
-    decided[:, layout.reward] = answer.reward
-    decided[:, layout.terminated] = answer.terminated
-    decided[:, layout.truncated] = answer.truncated
-    return answer.terminated | answer.truncated | flag_of(decided, layout, "human_reset")
+    ends = terminated | (human_reset & reset_terminates)
+    return ends, (truncated | human_reset) & ~ends
 
 
 def frames_of(
@@ -87,14 +128,15 @@ def frames_of(
     control = live & flag_of(steps, layout, "control")
     human_reset = live & flag_of(steps, layout, "human_reset")
     terminated = frames[..., layout.terminated] > 0.0
-    ended = terminated | (frames[..., layout.truncated] > 0.0) | human_reset
+    truncated = frames[..., layout.truncated] > 0.0
+    ended = terminated | truncated | human_reset
     so_far, intervened = _intervened(control, ended, intervened)
     reward, schedule = frames[..., layout.reward], config.feedback_schedule
     shaped = arbiter.shaped_reward(reward, control, feedback[:, None], schedule, ended, so_far)
-    terminated |= human_reset & config.human_reset_terminates
     frames[..., layout.reward] = np.where(live, shaped, 0.0)
-    frames[..., layout.terminated] = terminated
-    frames[..., layout.truncated] = ended & ~terminated
+    frames[..., layout.terminated], frames[..., layout.truncated] = stored_ends(
+        terminated, truncated, human_reset, config.human_reset_terminates
+    )
     return frames, intervened
 
 
@@ -103,13 +145,12 @@ def episode_of(steps: np.ndarray, layout: Layout, config: AgentConfig, hyper: Ru
 
     Args:
         steps: all of it, [T, A + 13].
-        layout: their columns, see `logged_layout`.
+        layout: their columns, see `Layout.without_observation`.
         config: when the human's feedback is given.
         hyper: the run's hyperparameters, host scalars.
     """
-    names = ("began", "human_action", "alarmed", "dangerous", "human_reset")
-    flags = {name: flag_of(steps, layout, name) for name in names}
-    reward, control = steps[:, layout.reward], flag_of(steps, layout, "control")
+    flags = flags_of(steps, layout)
+    reward, control = steps[:, layout.reward], flags.control
     ended = np.arange(len(steps)) == len(steps) - 1
     so_far = np.logical_or.accumulate(control)
     shaped = arbiter.shaped_reward(
@@ -121,7 +162,11 @@ def episode_of(steps: np.ndarray, layout: Layout, config: AgentConfig, hyper: Ru
         shaped=shaped,
         boundary=steps[:, layout.boundary] if known else np.full(len(steps), np.nan),
         terminated=steps[:, layout.terminated] > 0.0,
-        **flags,
+        began=flags.began,
+        human_action=flags.human_action,
+        alarmed=flags.alarmed,
+        dangerous=flags.dangerous,
+        human_reset=flags.human_reset,
     )
 
 
@@ -159,6 +204,4 @@ def _intervened(
 @functools.cache
 def _recorded_columns(layout: Layout) -> list[int]:
     """Where a recorded step stands in a step."""
-    flags = {name: layout.width + place for place, name in enumerate(EXTRA_COLUMNS)}
-    places = {"boundary": layout.boundary, **flags}
-    return [*range(layout.width)[layout.action], *(places[name] for name in STEP_COLUMNS)]
+    return [*range(layout.width)[layout.action], *(getattr(layout, name) for name in STEP_COLUMNS)]

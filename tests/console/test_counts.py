@@ -12,7 +12,7 @@ from hitl_jax.commands import ablation, agreement, brax_ppo, seed_sweep, tuning
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require, require_whole
 from hitl_jax.console.cli import run_main
 from hitl_jax.envs import make_pool
-from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.human.judgement import HumanParams
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training import compiled_batch
@@ -124,7 +124,7 @@ def test_a_delay_that_is_longer_than_the_default_humans_is_a_run():
 
 
 def test_more_test_episodes_than_walkers_are_refused():
-    evaluator = Evaluator(make_agent(AgentConfig()), ToyPool(2))
+    evaluator = HostExaminer(make_agent(AgentConfig()), ToyPool(2))
     for seeds in (np.zeros((1, 3), np.uint32), np.zeros((1, 0), np.uint32)):
         with pytest.raises(ValueError, match=r"--episodes [03]: must be at least 1 and at most 2"):
             evaluator.evaluate("autonomous", _SPEC.hyper, None, None, None, seeds)

@@ -7,9 +7,9 @@ import pytest
 
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs.jax_pool import JaxPool
-from hitl_jax.evaluation.device import DeviceEvaluator, num_walkers
+from hitl_jax.evaluation.device import DeviceExaminer, num_walkers
 from hitl_jax.evaluation.examiners import make_examiner
-from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import evaluate_runs
 from hitl_jax.team import agent as agents
 from hitl_jax.training.run_spec import FinishedRun, Run, RunSpec, Snapshot
@@ -41,7 +41,7 @@ def runs():
 def _examined(runs, walkers, devices=2, broken_from=device_toy.NEVER):
     with device_toy.toys(broken_from):
         examiner = make_examiner(_AGENT, JaxPool(walkers, devices), _EPISODES)
-        assert isinstance(examiner, DeviceEvaluator)
+        assert isinstance(examiner, DeviceExaminer)
         return evaluate_runs(examiner, runs, _modes)
 
 
@@ -52,7 +52,7 @@ def together(runs):
 
 def test_host_and_device_tell_the_same(runs, together):
     with device_toy.toys():
-        by_host = evaluate_runs(Evaluator(_AGENT, JaxPool(_EPISODES, 1)), runs, _modes)
+        by_host = evaluate_runs(HostExaminer(_AGENT, JaxPool(_EPISODES, 1)), runs, _modes)
     assert repr(together) == repr(by_host)
     rows = [row for at_end, _ in together for row in at_end]
     assert len(rows) == 2 * (20 + 40 + 40)

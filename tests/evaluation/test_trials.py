@@ -4,7 +4,7 @@ import pytest
 from toy import ToyPool
 
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import evaluate_runs
 from hitl_jax.team import agent as agents
 from hitl_jax.training.run_spec import FinishedRun, Run, RunSpec, Snapshot
@@ -17,7 +17,7 @@ def _evaluate(mode, method=Method.HITL_AC, boundary=0.4, seeds=_SEEDS, config=No
     agent = agents.make_agent(config)
     params = agents.behavior(agents.init(agent, jax.random.key(0)))
     hyper = hyper_for(method, Hyper(takeover_steps=3, delta_minus=0.1, **changes))
-    evaluator = Evaluator(agent, ToyPool(len(seeds)))
+    evaluator = HostExaminer(agent, ToyPool(len(seeds)))
     policy = jax.tree.map(lambda leaf: leaf[None], params)
     boundary = np.full(1, boundary, np.float32)
     return evaluator.evaluate(mode, hyper, policy, boundary, jax.random.key(1), seeds[None])
@@ -65,7 +65,9 @@ def test_snapshots_share_the_walkers_and_are_tested_as_the_end_is():
     run = FinishedRun(Run(spec, 0, snapshots=snapshots), trained[1], np.float32(0.4))
 
     def test(walkers):
-        return evaluate_runs(Evaluator(agent, ToyPool(walkers)), [run], lambda _: ("autonomous",))
+        return evaluate_runs(
+            HostExaminer(agent, ToyPool(walkers)), [run], lambda _: ("autonomous",)
+        )
 
     # Three policies on seven walkers: two episodes each, and one walker stands still.
     [(_, rows)] = test(7)

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitl_jax.learner import replay
+from hitl_jax.learner import frame, replay
 
-_LAYOUT = replay.Layout(observation_size=1, action_size=1)
+_LAYOUT = frame.Layout(observation_size=1, action_size=1)
 _RUNS = 2
 
 

@@ -14,10 +14,10 @@ from hitl_jax import boundary
 from hitl_jax.config import Method, hyper_for
 from hitl_jax.envs import Command
 from hitl_jax.envs.jax_pool import JaxPool
-from hitl_jax.evaluation.device import DeviceEvaluator
-from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.device import DeviceExaminer
+from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import evaluate_runs
-from hitl_jax.learner import losses, replay
+from hitl_jax.learner import frame, losses, replay
 from hitl_jax.results.episode_measures import NOT_FINITE, num_lost
 from hitl_jax.team import agent as agents
 from hitl_jax.team import arbiter
@@ -69,7 +69,7 @@ def test_a_masked_value_is_not_in_the_boundarys_loss(bad):
 
 @pytest.mark.parametrize("bad", _BAD)
 def test_what_follows_an_episode_is_not_in_its_return(bad):
-    layout = replay.Layout(1, 1)
+    layout = frame.Layout(1, 1)
     frames = np.zeros((1, 6, layout.width), np.float32)
     frames[0, :, layout.reward] = [1.0, 2.0, bad, bad, bad, bad]
     frames[0, 1, layout.terminated] = 1.0
@@ -231,9 +231,11 @@ def test_both_examiners_count_a_fall_and_say_so(field, at, monkeypatch):
     agent, run = _finished()
     with device_toy.toys():
         on_device = evaluate_runs(
-            DeviceEvaluator(agent, JaxPool(64, 2), 20), [run], lambda _: ("autonomous",)
+            DeviceExaminer(agent, JaxPool(64, 2), 20), [run], lambda _: ("autonomous",)
         )
-        by_host = evaluate_runs(Evaluator(agent, JaxPool(20, 1)), [run], lambda _: ("autonomous",))
+        by_host = evaluate_runs(
+            HostExaminer(agent, JaxPool(20, 1)), [run], lambda _: ("autonomous",)
+        )
     [(rows, _)], [(same, _)] = on_device, by_host
     assert repr(rows) == repr(same)
     lost = [row for row in rows if row.get(NOT_FINITE)]
@@ -247,5 +249,5 @@ def test_parameters_that_are_no_numbers_are_said_as_well():
     actor = jax.tree.map(lambda leaf: leaf * np.nan, run.train.learner.actor)
     sick = run.train.replace(learner=run.train.learner.replace(actor=actor))
     run = FinishedRun(run.run, sick, run.boundary)
-    [(rows, _)] = evaluate_runs(Evaluator(agent, ToyPool(3)), [run], lambda _: ("autonomous",))
+    [(rows, _)] = evaluate_runs(HostExaminer(agent, ToyPool(3)), [run], lambda _: ("autonomous",))
     assert num_lost(rows) == 3

@@ -9,7 +9,7 @@ from toy import ToyPool
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.console.timing import memory_mb
 from hitl_jax.envs import Command
-from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import evaluate_runs
 from hitl_jax.team.agent import behavior, make_agent
 from hitl_jax.training.rollout import Rollout
@@ -232,7 +232,7 @@ def test_parameters_that_are_not_finite_end_a_run(together):
     assert len(lost.run.all_episodes()) == sick.episodes > len(lost.run.episodes) == episodes
     _assert_falls(lost.run.all_episodes()[episodes:])
     # So do its tests, and those of its snapshots from there on.
-    evaluator = Evaluator(make_agent(_CONFIG), ToyPool(4))
+    evaluator = HostExaminer(make_agent(_CONFIG), ToyPool(4))
     [(at_end, on_the_way)] = evaluate_runs(evaluator, [lost], lambda _: ("autonomous", "assisted"))
     assert len(at_end) == 8
     _assert_falls(at_end)

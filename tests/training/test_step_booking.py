@@ -1,33 +1,32 @@
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs import StepBatch
-from hitl_jax.learner.replay import Layout
+from hitl_jax.learner.frame import Layout
 from hitl_jax.results.recorded_episodes import Recording
-from hitl_jax.team.packed_decision import EXTRA_COLUMNS
 from hitl_jax.training.step_booking import (
-    complete,
+    end_of_step,
     episode_of,
+    finite_decision,
     frames_of,
-    logged_layout,
     recorded_steps,
-    step_width,
+    stored_ends,
+    write_answer,
 )
 
 _LAYOUT = Layout(3, 2)
-_LOGGED = logged_layout(_LAYOUT)
+_LOGGED = _LAYOUT.without_observation
 _HYPER = hyper_for(Method.HITL_AC, Hyper(feedback=-10.0))
 
 
 def _steps(count, layout=_LAYOUT, **flags):
     """Steps of reward 1; flags say at which ones they are set."""
-    steps = np.zeros((count, step_width(layout)), np.float32)
+    steps = np.zeros((count, layout.step_width), np.float32)
     steps[:, layout.reward] = 1.0
     for name, places in flags.items():
-        extra = name in EXTRA_COLUMNS
-        column = layout.width + EXTRA_COLUMNS.index(name) if extra else getattr(layout, name)
-        steps[places, column] = 1.0
+        steps[places, getattr(layout, name)] = 1.0
     return steps
 
 
@@ -44,7 +43,10 @@ def test_what_the_plant_answers_stands_in_the_step():
     rows = np.stack([_steps(1, human_reset=[0])[0], _steps(1)[0], _steps(1)[0]])
     flags = np.array([[False, False], [False, True], [False, False]])
     answer = StepBatch(np.zeros((3, 3)), np.array([5.0, 6.0, 7.0]), *flags.T)
-    assert complete(rows, answer, _LAYOUT).tolist() == [True, True, False]
+    live, begins = np.array([True] * 3), np.array([False] * 3)
+    end = end_of_step(rows, answer, _LAYOUT, live, begins)
+    assert end.ended.tolist() == [True, True, False]
+    write_answer(rows, answer, _LAYOUT)
     assert rows[:, _LAYOUT.reward].tolist() == [5.0, 6.0, 7.0]
     assert rows[:, _LAYOUT.truncated].tolist() == [0.0, 1.0, 0.0]
 
@@ -96,3 +98,61 @@ def test_where_nobody_arbitrates_there_is_no_boundary():
         assert np.isfinite(kept.column("boundary")).all() == known
         assert kept.column("alarmed").tolist() == [0.0, 1.0]
         assert kept.actions.shape == (2, 2)
+
+
+def _answer(**changes):
+    """What four walkers answer: the first falls, the second's time is up, the others go on."""
+    told = {
+        "observation": np.zeros((4, 3), np.float32),
+        "reward": np.zeros(4, np.float32),
+        "terminated": np.array([True, False, False, False]),
+        "truncated": np.array([False, True, False, False]),
+    }
+    return StepBatch(**told | changes)
+
+
+@pytest.mark.parametrize("asarray", [np.asarray, jnp.asarray])
+def test_what_is_not_finite_ends_no_episode_and_is_named(asarray):
+    rows = _steps(4, human_reset=[2])
+    seen = np.zeros((4, 3), np.float32)
+    seen[0, 1], reward = np.nan, np.array([0.0, np.inf, 0.0, np.nan], np.float32)
+    live, begins = np.array([True, True, True, False]), np.array([False, False, False, True])
+    answer = StepBatch(*map(asarray, _answer(observation=seen, reward=reward)))
+    end = end_of_step(asarray(rows), answer, _LAYOUT, asarray(live), asarray(begins))
+    assert end.finite["observation"].tolist() == [False, True, True, True]
+    assert end.finite["reward"].tolist() == [True, False, True, True]  # The last was only reset.
+    assert end.sound.tolist() == [False, False, True, True]
+    assert end.ended.tolist() == [False, False, True, False]
+
+
+def test_a_walker_that_stands_still_is_not_looked_at():
+    idle, nan = np.zeros(4, bool), np.full(4, np.nan, np.float32)
+    answer = _answer(reward=nan, observation=np.full((4, 3), np.nan))
+    end = end_of_step(_steps(4), answer, _LAYOUT, idle, idle)
+    assert end.sound.all()
+    assert not end.ended.any()
+
+
+def test_a_decision_is_looked_at_before_the_step():
+    rows = _steps(3)
+    rows[0, _LAYOUT.action.start + 1] = np.inf
+    rows[1, _LAYOUT.boundary] = np.nan
+    rows[2, _LAYOUT.observation] = np.nan  # It was looked at as it came.
+    told = {name: finite.tolist() for name, finite in finite_decision(rows, _LAYOUT).items()}
+    assert told == {"action": [False, True, True], "boundary": [True, False, True]}
+
+
+def test_an_end_is_stored_with_or_without_the_bootstrap():
+    terminated, truncated, reset = np.array(
+        [[1, 0, 0, 0, 1, 0], [0, 1, 0, 0, 1, 1], [0, 0, 1, 0, 0, 1]], bool
+    )
+    with_end = stored_ends(terminated, truncated, reset, True)
+    assert [flags.tolist() for flags in with_end] == [
+        [True, False, True, False, True, True],
+        [False, True, False, False, False, False],
+    ]
+    without = stored_ends(terminated, truncated, reset, False)
+    assert [flags.tolist() for flags in without] == [
+        [True, False, False, False, True, False],
+        [False, True, True, False, False, True],
+    ]

@@ -14,7 +14,7 @@ from hitl_jax import human, walker
 from hitl_jax.config import AgentConfig, Hyper, Method, RunHyper, hyper_for, typed
 from hitl_jax.envs import jax_pool
 from hitl_jax.evaluation import trials
-from hitl_jax.learner import losses, replay
+from hitl_jax.learner import frame, losses, replay
 from hitl_jax.team import acting
 from hitl_jax.team import agent as agents
 from hitl_jax.team.packed_decision import act_or_begin
@@ -144,7 +144,7 @@ def _played():
     agent = agents.make_agent(small.AGENT)
     rollout = Rollout(agent, specs, ToyPool(4), small.LOOP)
     runs = sorted((run for done in rollout for run in done), key=lambda run: run.run.spec.method)
-    examiner = trials.Evaluator(agent, ToyPool(4))
+    examiner = trials.HostExaminer(agent, ToyPool(4))
     tests = trials.evaluate_runs(examiner, runs, lambda _: ("autonomous", "assisted"))
     assert all(run.run.updates > 0 for run in runs)
     return [(run.train, run.boundary) for run in runs], repr([r.run.episodes for r in runs]), tests
@@ -201,7 +201,7 @@ def test_small_functions_keep_their_types(wide):
     given = losses.target_quantiles(f(4), f(4), f((2, 4, 3)), num_dropped=1)
     assert {leaf.dtype for leaf in given} == {jnp.dtype("float32")}
     assert human.outcome_dangerous(jnp.array([False, True]), 2).tolist() == [True, True]
-    layout = replay.Layout(1, 1)
+    layout = frame.Layout(1, 1)
     memory = replay.add(replay.init(8, 1, layout), jnp.ones((1, 8, layout.width)))
     drawn = replay.draw(memory, layout, 0, make_key(0), 4, 2, 0.9)
     assert {leaf.dtype.itemsize for leaf in jax.tree.leaves((memory, drawn))} == {4}
