@@ -21,7 +21,7 @@ from jax.experimental import topologies
 from hitl_jax.config import AgentConfig
 from hitl_jax.envs import jax_pool
 from hitl_jax.team.agent import make_agent
-from hitl_jax.training import compiled_batch, device_stage
+from hitl_jax.training import batch_arrays, compiled_batch, device_stage
 from hitl_jax.training.device_ticks import Moment
 from hitl_jax.walker import gpu
 
@@ -79,7 +79,7 @@ def _programs(device):
     seeds = of((_LANES,), jnp.uint32)
     step = of((_LANES,), jnp.int32), of((_LANES, 4)), seeds
     agent = make_agent(AgentConfig())
-    acting = compiled_batch.empty_acting(agent, _RUNS, jax.devices("cpu")[0])
+    acting = batch_arrays.empty_acting(agent, _RUNS, jax.devices("cpu")[0])
     programs = compiled_batch.make_programs(agent, 1, 1)
     packed = jax.eval_shape(lambda a: programs.pack_behavior(a).rows, _train(agent))
     behavior = like(jax.eval_shape(programs.unpack_behavior, [packed]))
@@ -103,7 +103,7 @@ def _programs(device):
 def _train(agent):
     """Training states, packed."""
     words = jax.eval_shape(
-        lambda: compiled_batch.empty_seats(agent, 2, 64, jax.devices("cpu")[0]).train
+        lambda: batch_arrays.empty_learner(agent, 2, 64, jax.devices("cpu")[0]).train
     )
     return jax.ShapeDtypeStruct((_RUNS, *words.shape[1:]), words.dtype)
 

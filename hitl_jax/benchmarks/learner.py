@@ -12,7 +12,7 @@ from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.console.timing import Row, best
 from hitl_jax.learner import replay
 from hitl_jax.team.agent import make_agent
-from hitl_jax.training import compiled_batch
+from hitl_jax.training import batch_arrays, compiled_batch
 from hitl_jax.training.run_spec import LoopConfig, num_slots
 from hitl_jax.xla.dense_product import MATMUL_PRECISIONS
 from hitl_jax.xla.devices import default_tile, learning_devices
@@ -103,10 +103,10 @@ def make_learner(
     add = jax.jit(replay.add, donate_argnums=0)
     seats = []
     for device in learning_devices():
-        empty = compiled_batch.empty_seats(agent, share, loop.frames, device)
+        empty = batch_arrays.empty_learner(agent, share, loop.frames, device)
         for column in range(share):
             train, _ = jax.device_get(programs.begin(make_key(column)))
-            empty = programs.seat(empty, column, hyper, train)
+            empty = programs.begin_learning(empty, column, hyper, train)
         seats.append(empty._replace(memory=add(empty.memory, past)))
     frames = past[:, : loop.chunk].copy()
     slots = np.arange(share, dtype=np.int32)

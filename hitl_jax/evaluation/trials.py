@@ -11,7 +11,7 @@ from hitl_jax.config import Method, RunHyper
 from hitl_jax.results.episode_measures import Row, fall_at_once
 from hitl_jax.team.acting import ActingState, init_acting
 from hitl_jax.team.agent import Agent, behavior
-from hitl_jax.training import compiled_batch
+from hitl_jax.training import batch_arrays
 from hitl_jax.training.run_spec import (
     FinishedRun,
     Run,
@@ -164,7 +164,7 @@ def terrain_seeds(spec: RunSpec, episodes: int) -> np.ndarray:
 
 def trial_key(spec: RunSpec) -> jax.Array:
     """The key of a run's tests, []."""
-    *_, key = compiled_batch.run_keys(spec.seed, method_index(spec.method))
+    *_, key = batch_arrays.run_keys(spec.seed, method_index(spec.method))
     return key
 
 

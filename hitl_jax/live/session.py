@@ -28,7 +28,7 @@ from hitl_jax.live.labels import Label, judged
 from hitl_jax.live.setup import Setup
 from hitl_jax.results.episode_measures import Episode, Row, row_of
 from hitl_jax.team.acting import ActingState, begin_episode, init_acting
-from hitl_jax.training import compiled_batch
+from hitl_jax.training import batch_arrays
 from hitl_jax.training.run_spec import episode_seed, method_index
 from hitl_jax.types import Behavior, TrainState
 from hitl_jax.xla.devices import acting_device
@@ -83,7 +83,7 @@ class Session:
         # What was learned before need not begin with random actions.
         warmup = setup.hyper.warmup_steps if setup.start is None else 0
         self._hyper = typed(dataclasses.replace(setup.hyper, warmup_steps=warmup))
-        learning, acting, _ = compiled_batch.run_keys(setup.seed, method_index(setup.method))
+        learning, acting, _ = batch_arrays.run_keys(setup.seed, method_index(setup.method))
         train = setup.first_train(learning)
         state = init_acting(agent, self._hyper, acting)
         if setup.start is not None:

@@ -13,7 +13,7 @@ from hitl_jax.config import RunHyper
 from hitl_jax.envs import StepBatch
 from hitl_jax.envs.jax_pool import Block, JaxPool
 from hitl_jax.team.agent import Agent
-from hitl_jax.training import compiled_batch, device_ticks
+from hitl_jax.training import batch_arrays, compiled_batch, device_ticks
 from hitl_jax.training.compiled_batch import Programs
 from hitl_jax.training.device_ticks import Moment, begins_with
 from hitl_jax.training.stage import Slots, Tick
@@ -49,7 +49,7 @@ class DeviceStage:
         self._pool = pool
         self._programs = programs
         self._acting = [
-            compiled_batch.empty_acting(agent, pool.lanes, block.device) for block in pool.blocks
+            batch_arrays.empty_acting(agent, pool.lanes, block.device) for block in pool.blocks
         ]
         self._behavior: list[Behavior] = []
         self._moments: list[Moment] = []
@@ -109,11 +109,11 @@ class DeviceStage:
         self._boundaries = self._of_runs(jax.device_get(boundaries))
         self._unbooked -= 1
 
-    def seat(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
+    def begin_run(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
         """See `Stage`."""
         index, row = self._place(slot)
         key = jax.device_put(key, self._pool.blocks[index].device)
-        self._acting[index] = self._programs.seat_acting(self._acting[index], row, hyper, key)
+        self._acting[index] = self._programs.begin_acting(self._acting[index], row, hyper, key)
 
     def words(self) -> np.ndarray:
         """See `Stage`."""

@@ -10,7 +10,7 @@ import numpy as np
 from hitl_jax.config import RunHyper
 from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.team.agent import Agent
-from hitl_jax.training import compiled_batch
+from hitl_jax.training import batch_arrays
 from hitl_jax.training.compiled_batch import Programs
 from hitl_jax.training.stage import Slots, Tick
 from hitl_jax.xla import full_registers
@@ -42,7 +42,7 @@ class HostStage:
         self._programs = programs
         self._action = agent.layout.action
         self._device = acting_device()
-        self._acting = compiled_batch.empty_acting(agent, pool.num_walkers, self._device)
+        self._acting = batch_arrays.empty_acting(agent, pool.num_walkers, self._device)
         self._rows = len(self._acting.state)
 
     def prepare(self, packed: list[jax.Array]) -> None:
@@ -62,10 +62,10 @@ class HostStage:
             decided = np.asarray(packed)[: self._pool.num_walkers]
             yield _HostTick(decided, self._pool, slots, self._action)
 
-    def seat(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
+    def begin_run(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
         """See `Stage`."""
         key = jax.device_put(key, self._device)
-        self._acting = self._programs.seat_acting(self._acting, slot, hyper, key)
+        self._acting = self._programs.begin_acting(self._acting, slot, hyper, key)
 
     def words(self) -> np.ndarray:
         """See `Stage`."""

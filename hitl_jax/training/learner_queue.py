@@ -1,4 +1,4 @@
-"""The learner's side of the host loop: all runs on the learning devices, and calls under way."""
+"""The learner of the host loop: all runs on the learning devices, and its calls under way."""
 
 import dataclasses
 import operator
@@ -11,7 +11,7 @@ import numpy as np
 
 from hitl_jax.config import RunHyper
 from hitl_jax.team.agent import Agent
-from hitl_jax.training import compiled_batch
+from hitl_jax.training import batch_arrays, compiled_batch
 from hitl_jax.training.run_spec import LoopConfig
 from hitl_jax.types import Behavior, TrainState
 from hitl_jax.xla.devices import default_tile, learning_devices
@@ -20,7 +20,7 @@ LAG = 2
 """Calls of the learner that may be under way while the walkers play; see `rollout`."""
 
 
-class LearnerSide:
+class LearnerQueue:
     """R slots, an equal share of them on each learning device.
 
     Attributes:
@@ -29,7 +29,7 @@ class LearnerSide:
     """
 
     def __init__(self, agent: Agent, config: LoopConfig, slots: int, cursor: int):
-        """Places empty seats on the devices.
+        """Places empty batches on the devices.
 
         Args:
             agent: the team.
@@ -43,37 +43,39 @@ class LearnerSide:
         self._layout, self._frames = agent.layout, config.frames
         self._share = slots // len(devices)
         empty = [
-            compiled_batch.empty_seats(agent, self._share, config.frames, each) for each in devices
+            batch_arrays.empty_learner(agent, self._share, config.frames, each) for each in devices
         ]
-        self._seats = [self.programs.begin_ring(seats, cursor) for seats in empty]
+        self._batches = [self.programs.begin_ring(batch, cursor) for batch in empty]
         self._learned = deque(
-            [self.programs.pack_behavior(seats.train) for seats in self._seats]
+            [self.programs.pack_behavior(batch.train) for batch in self._batches]
             for _ in range(LAG + 1)
         )
 
     def order(self) -> list[int]:
         """All slots, such that neighbours are on different devices."""
-        slots = np.arange(self._share * len(self._seats)).reshape(len(self._seats), self._share)
+        slots = np.arange(self._share * len(self._batches)).reshape(len(self._batches), self._share)
         return [int(slot) for slot in slots.T.ravel()]
 
-    def seat(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
+    def begin(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
         """Begins a run.
 
         Args:
             slot: where.
             hyper: its hyperparameters, typed host scalars.
-            key: of its learning, see `compiled_batch.run_keys`; consumed.
+            key: of its learning, see `batch_arrays.run_keys`; consumed.
         """
         device, column = divmod(slot, self._share)
         words, row = jax.device_get(self.programs.begin(key))
-        self._seats[device] = self.programs.seat(self._seats[device], column, hyper, words)
+        self._batches[device] = self.programs.begin_learning(
+            self._batches[device], column, hyper, words
+        )
         for waiting in self._learned:
-            waiting[device] = self.programs.seat_behavior(waiting[device], column, row)
+            waiting[device] = self.programs.put_behavior(waiting[device], column, row)
 
     def restore(
         self, slot: int, words: np.ndarray, behavior: np.ndarray, frames: np.ndarray
     ) -> None:
-        """Makes of a run that was seated what it was when it was saved.
+        """Makes of a run that has begun what it was when it was saved.
 
         Args:
             slot: where.
@@ -82,20 +84,20 @@ class LearnerSide:
             frames: of its replay, newest last, [F, W].
         """
         device, column = divmod(slot, self._share)
-        seats = self._seats[device]
-        cursor = int(seats.memory.cursor)
+        batch = self._batches[device]
+        cursor = int(batch.memory.cursor)
         ring = np.zeros((self._frames, self._layout.width), np.float32)
         frames = frames[-len(ring) :]
         start = cursor - len(frames)
         ring[np.arange(start, cursor) % len(ring)] = frames
-        self._seats[device] = self.programs.restore(seats, column, words, ring, np.int32(start))
+        self._batches[device] = self.programs.restore(batch, column, words, ring, np.int32(start))
         for waiting, row in zip(self._learned, behavior, strict=True):
-            waiting[device] = self.programs.seat_behavior(waiting[device], column, row)
+            waiting[device] = self.programs.put_behavior(waiting[device], column, row)
 
     def save(self) -> tuple[np.ndarray, np.ndarray]:
         """What `restore` takes of each run but its frames, [R, P] and [R, LAG + 1, B]; waits."""
         # Copies: with a view of it about, the learner could not change the array in place.
-        words = np.concatenate([np.array(seats.train) for seats in self._seats])
+        words = np.concatenate([np.array(batch.train) for batch in self._batches])
         waiting = [np.concatenate([part.rows for part in parts]) for parts in self._learned]
         return words, np.stack(waiting, axis=1)
 
@@ -103,7 +105,7 @@ class LearnerSide:
         """Of a run's rows of `save`, named as in `SavedRun`."""
         [*_, parts] = self._learned
         return {
-            "train": self._seats[0].train.shape[1:],
+            "train": self._batches[0].train.shape[1:],
             "behavior": (len(self._learned), *parts[0].rows.shape[1:]),
         }
 
@@ -125,26 +127,26 @@ class LearnerSide:
             slots: of the runs that learn; of the others the frames are kept.
         """
         learned = []
-        for device, seats in enumerate(self._seats):
+        for device, batch in enumerate(self._batches):
             first = device * self._share
             columns = [slot - first for slot in slots if 0 <= slot - first < self._share]
             listed = np.zeros(self._share, np.int32)
             listed[: len(columns)] = columns
             rows = frames[first : first + self._share]
-            self._seats[device], after = self.programs.learn(
-                seats, rows, listed, np.int32(len(columns))
+            self._batches[device], after = self.programs.learn(
+                batch, rows, listed, np.int32(len(columns))
             )
             learned.append(after)
         self._learned.append(learned)
 
     def wait(self) -> None:
         """Returns when the learner has nothing left to do."""
-        jax.block_until_ready([seats.train for seats in self._seats])
+        jax.block_until_ready([batch.train for batch in self._batches])
 
     def train_of(self, slot: int) -> TrainState:
         """A run's training state as NumPy arrays, without its key."""
         device, column = divmod(slot, self._share)
-        train = self.programs.unpack_train(self._seats[device].train, column)
+        train = self.programs.unpack_train(self._batches[device].train, column)
         fetched: TrainState = jax.device_get(dataclasses.replace(train, key=None))
         return fetched
 

@@ -24,10 +24,10 @@ from hitl_jax.envs import WalkerPool
 from hitl_jax.results import recorded_episodes
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.team.agent import Agent, behavior
-from hitl_jax.training import compiled_batch
+from hitl_jax.training import batch_arrays
 from hitl_jax.training.compiled_batch import Programs
 from hitl_jax.training.host_stage import HostStage
-from hitl_jax.training.learner_queue import LearnerSide
+from hitl_jax.training.learner_queue import LearnerQueue
 from hitl_jax.training.run_spec import (
     FinishedRun,
     LoopConfig,
@@ -94,7 +94,7 @@ class Rollout:
         _check(agent, pool, config)
         self._saved = {} if saved is None else saved
         longest = max((len(run.frames) for run in self._saved.values()), default=0)
-        self._learner = LearnerSide(agent, config, slots, longest)
+        self._learner = LearnerQueue(agent, config, slots, longest)
         self._stage = make_stage(agent, pool, self._learner.programs)
         self._acting_shape = self._stage.words().shape[1:]
         self._saves = saved is not None
@@ -158,7 +158,7 @@ class Rollout:
                     acting=acting[run.slot],
                     behavior=learned[run.slot],
                     snapshots=np.array(
-                        [compiled_batch.flat(kept.behavior) for kept in run.snapshots]
+                        [batch_arrays.flat_behavior(kept.behavior) for kept in run.snapshots]
                     ),
                     boundaries=np.array([kept.boundary for kept in run.snapshots]),
                     observation=self._recorder.slots.observation[run.slot].copy(),
@@ -251,10 +251,10 @@ class Rollout:
 
     def _begin_run(self, slot: int, spec: RunSpec) -> Run:
         """Gives a slot to a run at its beginning."""
-        learning, acting, _ = compiled_batch.run_keys(spec.seed, method_index(spec.method))
+        learning, acting, _ = batch_arrays.run_keys(spec.seed, method_index(spec.method))
         hyper = typed(spec.hyper)
-        self._learner.seat(slot, hyper, learning)
-        self._stage.seat(slot, hyper, acting)
+        self._learner.begin(slot, hyper, learning)
+        self._stage.begin_run(slot, hyper, acting)
         self._unsaved[slot] = 0
         run = Run(spec=spec, slot=slot)
         self._recorder.begin(run)

@@ -85,13 +85,13 @@ class Stage(Protocol):
         """
         ...
 
-    def seat(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
+    def begin_run(self, slot: int, hyper: RunHyper, key: chex.PRNGKey) -> None:
         """Begins a run; as `words` and `restore`, not ahead of what is booked.
 
         Args:
             slot: where.
             hyper: its hyperparameters, host scalars.
-            key: of its acting, see `compiled_batch.run_keys`; consumed.
+            key: of its acting, see `batch_arrays.run_keys`; consumed.
         """
         ...
 

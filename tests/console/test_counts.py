@@ -15,7 +15,7 @@ from hitl_jax.envs import make_pool
 from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.human.judgement import HumanParams
 from hitl_jax.team.agent import make_agent
-from hitl_jax.training import compiled_batch
+from hitl_jax.training import batch_arrays
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec, num_slots
 
@@ -88,11 +88,11 @@ def test_hyperparameters_that_cannot_be(change, message):
         (lambda: AgentConfig(hidden_sizes=(2.5,)), "--hidden-sizes (2.5,): at least one layer"),
         (lambda: AgentConfig(hidden_sizes=(2**40,)), "--hidden-sizes 1099511627776: must be at"),
         (
-            lambda: compiled_batch.run_keys(2**32, 0),
+            lambda: batch_arrays.run_keys(2**32, 0),
             "--seed 4294967296: must be at least 0 and at most",
         ),
-        (lambda: compiled_batch.run_keys(np.int64(-1), 0), "--seed -1: must be at least 0"),
-        (lambda: compiled_batch.run_keys(0.5, 0), "--seed 0.5: must be a whole number"),
+        (lambda: batch_arrays.run_keys(np.int64(-1), 0), "--seed -1: must be at least 0"),
+        (lambda: batch_arrays.run_keys(0.5, 0), "--seed 0.5: must be a whole number"),
         (lambda: num_slots(0, 4), "--runs 0: must be at least 1"),
         (lambda: human.delayed(2.5), "max_delay 2.5: must be a whole number"),
         (lambda: make_pool("lean", 2.0), "num_walkers 2.0: must be a whole number"),

@@ -8,7 +8,7 @@ import pytest
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.learner import replay
 from hitl_jax.team import agent as agents
-from hitl_jax.training import compiled_batch
+from hitl_jax.training import batch_arrays, compiled_batch, learn_batch
 from hitl_jax.xla import pytree_words
 from hitl_jax.xla.dense_product import MATMUL_PRECISIONS
 from hitl_jax.xla.devices import cpu_device
@@ -50,11 +50,11 @@ def _frames(runs, first=0):
 
 def _learn(runs, tile, skip=(), device=0, agent=_AGENT):
     """Training states of runs (any order, any number) after two calls of the learner."""
-    seats = compiled_batch.empty_seats(agent, len(runs), 64, cpu_device(f"learner {device}"))
+    seats = batch_arrays.empty_learner(agent, len(runs), 64, cpu_device(f"learner {device}"))
     programs = compiled_batch.make_programs(agent, _UPDATES, tile)
     for slot, run in enumerate(runs):
         train, _ = jax.device_get(programs.begin(make_key(run)))
-        seats = programs.seat(seats, slot, _hyper(run), train)
+        seats = programs.begin_learning(seats, slot, _hyper(run), train)
     listed = [slot for slot, run in enumerate(runs) if run not in skip]
     slots = np.zeros(len(runs), np.int32)
     slots[: len(listed)] = listed
@@ -102,7 +102,7 @@ def test_a_run_of_several_pieces_equals_the_run_alone(plainly, monkeypatch):
     """As networks of the default width have them, whose large leaves are read and written apart."""
     _forget_programs()
     monkeypatch.setattr(pytree_words, "_LARGE", 64)
-    assert len(pytree_words.piece_sizes(compiled_batch._some_train(_AGENT))) > 10
+    assert len(pytree_words.piece_sizes(batch_arrays.some_train(_AGENT))) > 10
     for run, learner in _learn(list(range(3)), 1).items():
         _same(learner, plainly[run])
     _forget_programs()
@@ -135,7 +135,7 @@ def test_a_run_that_is_not_listed_does_not_change(plainly):
 
 @pytest.mark.parametrize("tile", [1, 2])
 def test_seats_are_updated_in_place(tile):
-    seats = compiled_batch.empty_seats(_AGENT, 6, 64, cpu_device("learner 0"))
+    seats = batch_arrays.empty_learner(_AGENT, 6, 64, cpu_device("learner 0"))
     programs = compiled_batch.make_programs(_AGENT, _UPDATES, tile)
     frames = _frames(range(6))
     pointers = []
@@ -149,8 +149,8 @@ def test_seats_are_updated_in_place(tile):
 def test_a_run_is_given_back_without_a_copy_of_all():
     """Of a network whose leaves are written apart: XLA copies where it cannot tell the order."""
     agent = agents.make_agent(AgentConfig(learner="td3", layer_norm=False, batch_size=8))
-    seats = jax.eval_shape(lambda: compiled_batch.empty_seats(agent, 6, 64, jax.devices()[0]))
-    learn = functools.partial(compiled_batch._learn_all, agent, _UPDATES, 1)
+    seats = jax.eval_shape(lambda: batch_arrays.empty_learner(agent, 6, 64, jax.devices()[0]))
+    learn = functools.partial(learn_batch.learn_all, agent, _UPDATES, 1)
     frames = jax.ShapeDtypeStruct((6, 32, agent.layout.width), jnp.float32)
     slots = jax.ShapeDtypeStruct((6,), jnp.int32)
     count = jax.ShapeDtypeStruct((), jnp.int32)
@@ -163,14 +163,14 @@ def test_a_run_is_given_back_without_a_copy_of_all():
 
 def test_seeds_are_words_of_32_bits():
     many = {
-        tuple(jax.random.key_data(compiled_batch.run_keys(s, 1)[0]).tolist())
+        tuple(jax.random.key_data(batch_arrays.run_keys(s, 1)[0]).tolist())
         for s in (0, 2**31, 2**32 - 1)
     }
     assert len(many) == 3
 
 
 def test_keys_come_from_method_and_seed():
-    keys = [compiled_batch.run_keys(seed, method) for seed in range(3) for method in range(3)]
+    keys = [batch_arrays.run_keys(seed, method) for seed in range(3) for method in range(3)]
     data = {tuple(jax.random.key_data(key).tolist()) for three in keys for key in three}
     assert len(data) == 27
 
@@ -178,11 +178,11 @@ def test_keys_come_from_method_and_seed():
 def _act(runs):
     """What runs that act side by side decide and remember after each of five ticks."""
     agent, programs = _AGENT, compiled_batch.make_programs(_AGENT, _UPDATES, 1)
-    keys = [compiled_batch.run_keys(run, 0) for run in runs]
-    acting = compiled_batch.empty_acting(agent, len(runs), cpu_device("acting", own_thread=False))
+    keys = [batch_arrays.run_keys(run, 0) for run in runs]
+    acting = batch_arrays.empty_acting(agent, len(runs), cpu_device("acting", own_thread=False))
     for slot, (run, (_, key, _)) in enumerate(zip(runs, keys, strict=True)):
         key = jax.device_put(key, acting.state.device)
-        acting = programs.seat_acting(acting, slot, _hyper(run), key)
+        acting = programs.begin_acting(acting, slot, _hyper(run), key)
     rows = np.stack([programs.begin(key)[1] for key, *_ in keys])
     behavior = programs.unpack_behavior([rows], acting.hyper)
     told = {run: [] for run in runs}

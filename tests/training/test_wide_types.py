@@ -13,12 +13,12 @@ from toy import ToyPool
 from hitl_jax import human, walker
 from hitl_jax.config import AgentConfig, Hyper, Method, RunHyper, hyper_for, typed
 from hitl_jax.envs import jax_pool
-from hitl_jax.evaluation import trials
+from hitl_jax.evaluation import host, trials
 from hitl_jax.learner import frame, losses, replay
 from hitl_jax.team import acting
 from hitl_jax.team import agent as agents
 from hitl_jax.team.packed_decision import act_or_begin
-from hitl_jax.training import compiled_batch, device_stage
+from hitl_jax.training import batch_arrays, device_stage
 from hitl_jax.training.device_ticks import Moment
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import RunSpec
@@ -123,7 +123,7 @@ def test_no_program_with_a_walker_has_wide_numbers(wide):
         told = jax.eval_shape(walker.step, one, jnp.zeros(4))[1]
         assert told.observation.dtype == told.reward.dtype == jnp.float32
     walkers = jax.eval_shape(lambda: jax_pool._made(jnp.zeros(16, jnp.uint32), False))
-    some = jax.eval_shape(lambda: compiled_batch.empty_acting(agent, 16, jax.devices()[0]))
+    some = jax.eval_shape(lambda: batch_arrays.empty_acting(agent, 16, jax.devices()[0]))
     params = jax.eval_shape(
         lambda: jax.vmap(lambda key: agents.behavior(agents.init(agent, key)))(
             jax.random.split(make_key(0), 16)
@@ -144,7 +144,7 @@ def _played():
     agent = agents.make_agent(small.AGENT)
     rollout = Rollout(agent, specs, ToyPool(4), small.LOOP)
     runs = sorted((run for done in rollout for run in done), key=lambda run: run.run.spec.method)
-    examiner = trials.HostExaminer(agent, ToyPool(4))
+    examiner = host.HostExaminer(agent, ToyPool(4))
     tests = trials.evaluate_runs(examiner, runs, lambda _: ("autonomous", "assisted"))
     assert all(run.run.updates > 0 for run in runs)
     return [(run.train, run.boundary) for run in runs], repr([r.run.episodes for r in runs]), tests
@@ -222,7 +222,7 @@ def test_keys_and_first_parameters_are_the_same(name, value):
     agent = agents.make_agent(AgentConfig(hidden_sizes=(8,)))
 
     def begun():
-        keys = compiled_batch.run_keys(2**32 - 1, 1)
+        keys = batch_arrays.run_keys(2**32 - 1, 1)
         return [jax.random.key_data(key) for key in keys], agents.init(agent, keys[0])
 
     _same(begun(), _with(name, value, begun))

@@ -6,7 +6,7 @@ import pytest
 from hitl_jax.config import AgentConfig, RunHyper, typed
 from hitl_jax.team.acting import init_acting
 from hitl_jax.team.agent import make_agent
-from hitl_jax.training import compiled_batch
+from hitl_jax.training import batch_arrays, compiled_batch
 from hitl_jax.xla.pytree_words import from_pieces, pack, piece_sizes, to_pieces, unpack
 from hitl_jax.xla.threefry import make_key
 
@@ -80,8 +80,8 @@ def test_acting_and_hyperparameters_of_every_choice_can_be_packed():
 def test_the_boundary_of_every_run_is_read_back():
     agent = make_agent(AgentConfig())
     programs = compiled_batch.make_programs(agent, 2, 1)
-    acting = compiled_batch.empty_acting(agent, 3, jax.devices()[0])
+    acting = batch_arrays.empty_acting(agent, 3, jax.devices()[0])
     hyper = typed(RunHyper(initial_boundary=0.25))
-    acting = programs.seat_acting(acting, 1, hyper, make_key(0))
+    acting = programs.begin_acting(acting, 1, hyper, make_key(0))
     default = RunHyper().initial_boundary
     np.testing.assert_allclose(programs.boundaries(acting)[:3], [default, 0.25, default])
