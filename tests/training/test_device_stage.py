@@ -160,9 +160,9 @@ def test_no_more_than_one_chunk_is_begun_ahead():
         playing = Rollout(make_agent(CONFIG), _specs(), jax_pool.JaxPool(4, 2), LOOP)
         next(iter(playing))
         finite = np.ones(4, bool)
-        playing._stage.ticks(playing._slots, finite, 8)
+        playing._stage.ticks(playing._recorder.slots, finite, 8)
         with pytest.raises(RuntimeError, match="two are not booked"):
-            playing._stage.ticks(playing._slots, finite, 8)
+            playing._stage.ticks(playing._recorder.slots, finite, 8)
 
 
 def test_a_reward_that_is_no_number_ends_its_run_alone(monkeypatch):
