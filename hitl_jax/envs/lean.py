@@ -225,7 +225,7 @@ class _Walker:
         for joint, speed, torque in zip(self.joints, speeds, torques, strict=True):
             joint.motorSpeed = speed
             joint.maxMotorTorque = torque
-        self._world.Step(bipedal.SECONDS, bipedal.VELOCITY_ROUNDS, bipedal.POSITION_ROUNDS)
+        self._world.Step(bipedal.SECONDS, bipedal.VELOCITY_ITERATIONS, bipedal.POSITION_ITERATIONS)
 
     def read(self) -> tuple[float, ...]:
         """Place, velocity and angle of the hull, of the joints, contacts; see `_answer`."""
