@@ -74,7 +74,7 @@ def _programs(device):
         return function.lower(*args).compile().as_text()
 
     def walkers(hardcore):
-        return like(jax.eval_shape(lambda s: jax_pool._made(s, hardcore), seeds))
+        return like(jax.eval_shape(lambda s: jax_pool.new_walkers(s, hardcore), seeds))
 
     seeds = of((_LANES,), jnp.uint32)
     step = of((_LANES,), jnp.int32), of((_LANES, 4)), seeds

@@ -12,7 +12,7 @@ from hitl_jax.console.timing import Row
 from hitl_jax.envs import box2d
 from hitl_jax.walker import Walker, constants, from_gymnasium, step
 from hitl_jax.walker.physics import joints
-from hitl_jax.walker.physics.manifolds import BEHIND_EDGES
+from hitl_jax.walker.physics.manifolds import FIRST_BOX
 from hitl_jax.walker.physics.world import World
 
 _KINDS = ("scripted", "scripted with noise", "random")
@@ -53,7 +53,7 @@ def measure_step(seed: int, env_id: str) -> list[Row]:
     error = np.abs(found - np.stack([one.observation for one in seen]))
     contacts = walkers.world.contacts
     touching = np.asarray(contacts.touching).any((1, 2))
-    boxed = np.asarray(contacts.touching & (contacts.edge >= BEHIND_EDGES)).any((1, 2))
+    boxed = np.asarray(contacts.touching & (contacts.edge >= FIRST_BOX)).any((1, 2))
     bend = np.asarray(joints.angles(jnp.moveaxis(walkers.world.angle, 0, -1)))
     limit = ((bend <= constants.LOWER[:, None]) | (bend >= constants.UPPER[:, None])).any(0)
     first, last = (np.array([one[i] for one in seen]) for i in (3, 4))

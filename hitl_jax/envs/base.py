@@ -1,4 +1,4 @@
-"""The one interface of all pools of walkers, and the checks that they share."""
+"""The interface of all pools of walkers (`WalkerPool`), and the checks that they share."""
 
 import abc
 from types import TracebackType
@@ -8,9 +8,10 @@ import numpy as np
 
 
 class Command:
-    """What a walker does in one tick: plain integers, of which each tick asks a dozen times.
+    """What a walker does in one tick.
 
-    (Of an enum each takes a microsecond before Python 3.12.)
+    Plain integers: a tick compares them a dozen times, and before Python 3.12 reading an enum's
+    member takes a microsecond.
     """
 
     IDLE = 0
@@ -19,16 +20,16 @@ class Command:
 
 
 class StepBatch(NamedTuple):
-    """What one tick brought; the arrays are the caller's to keep.
+    """The results of one tick; the caller may keep and change the arrays.
 
     There is no automatic reset: after its last STEP a walker waits for a RESET in a later tick.
-    `terminated` and `truncated` can both be true, as gymnasium has it for a fall in the step that
-    reaches the time limit.
+    `terminated` and `truncated` can both be true: a fall in the step that reaches the time limit.
 
     Attributes:
-        observation: STEP: s_{t+1}, the true final one where the episode ended. RESET: the first of
-            the new episode. IDLE: the last one again, zeros before the first RESET. float32 [N, O].
-        reward: of a STEP; 0 otherwise. float32 [N].
+        observation: after a STEP s_{t+1}, the true final one where the episode ended; after a RESET
+            the first of the new episode; after an IDLE the last one again, zeros before the first
+            RESET. float32 [N, O].
+        reward: r(s, a) of a STEP, else 0. float32 [N].
         terminated: whether the STEP ended the task: a fall or the goal. bool [N].
         truncated: whether the STEP reached the time limit. bool [N].
     """
@@ -55,33 +56,36 @@ class WalkerPool(Protocol):
     seedable: bool
 
     def send(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> None:
-        """Starts a tick, and returns while the walkers are at it.
+        """Starts a tick and returns without waiting for it.
 
         Args:
             command: a `Command` for each walker, uint8 [N].
-            action: read where the command is STEP; in [-1, 1], which a pool of environments with
-                other bounds scales onto them, clipped. With bounds of [-1, 1] what is beyond them
-                is the environment's to clip. float32 [N, A].
+            action: read where the command is STEP; in [-1, 1]. If the environment has other bounds,
+                the pool clips and scales it onto them; if its bounds are [-1, 1], the environment
+                clips. float32 [N, A].
             seed: read where the command is RESET, if the pool is `seedable`. uint32 [N].
 
         Raises:
             ValueError: for a wrong shape or command, an action that is not finite, or a STEP of a
                 walker whose episode has ended or never began.
-            RuntimeError: if the pool is closed, or the tick before was not received.
+            RuntimeError: if the pool is closed, or the previous tick was not received.
         """
         ...
 
     def recv(self) -> StepBatch:
         """Waits for the end of the tick.
 
+        Returns:
+            The tick's results.
+
         Raises:
-            WalkerError: if a worker raised, or was killed again and again; the pool is closed then.
+            WalkerError: if a worker raised, or was killed again and again; the pool is then closed.
             RuntimeError: if no tick was sent.
         """
         ...
 
     def step(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> StepBatch:
-        """`send`, then `recv`."""
+        """Calls `send`, then `recv`."""
         ...
 
     def close(self) -> None:
@@ -99,7 +103,10 @@ class WalkerPool(Protocol):
 
 
 class CheckedPool(abc.ABC):
-    """A `WalkerPool` less what steps the walkers: checks, order of calls, who is in mid-episode."""
+    """A `WalkerPool` without its walkers: checks arguments, order of calls, who is in an episode.
+
+    A subclass steps the walkers.
+    """
 
     seedable: bool
 
@@ -154,7 +161,7 @@ class CheckedPool(abc.ABC):
         return batch
 
     def step(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> StepBatch:
-        """`send`, then `recv`; see there."""
+        """Calls `send`, then `recv`."""
         self.send(command, action, seed)
         return self.recv()
 
@@ -177,7 +184,7 @@ class CheckedPool(abc.ABC):
         self.close()
 
     def _check(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> None:
-        """Raises ValueError with one line for a tick that cannot be played."""
+        """Raises ValueError, one line, for a tick that cannot be played."""
         num = self.num_walkers
         shapes = {"command": (num,), "action": (num, self.action_size), "seed": (num,)}
         for (name, shape), array in zip(shapes.items(), (command, action, seed), strict=True):
@@ -186,11 +193,11 @@ class CheckedPool(abc.ABC):
         if command.max() > Command.RESET:
             raise ValueError(f"command {command.max()}: must be one of [0, 1, 2]")
         stepped = command == Command.STEP
-        astray = stepped & ~self._playing
-        if astray.any():
-            walker = int(astray.argmax())
+        not_playing = stepped & ~self._playing
+        if not_playing.any():
+            walker = int(not_playing.argmax())
             raise ValueError(f"command STEP of walker {walker}: not in an episode, RESET it first")
-        # Box2D does not refuse a NaN: it would go on with a broken world, or abort the process.
+        # Box2D accepts NaN, and then computes nonsense or aborts the process.
         if not np.isfinite(action).all():
             broken = stepped & ~np.isfinite(action).all(axis=1)
             if broken.any():

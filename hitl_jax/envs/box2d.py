@@ -1,4 +1,4 @@
-"""Box2D and gymnasium's walker: imported late, and where missing, missed in one clear line."""
+"""Checks that Box2D and gymnasium's walker can be imported, and says in one line if not."""
 
 import contextlib
 import functools
@@ -11,7 +11,7 @@ _INSTALL = 'pip install "gymnasium[box2d]"'
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Around imports of Box2D: SWIG's types warn, and as an error that ends the process."""
+    """Ignores the warnings of Box2D's import (of SWIG); as errors they would end the process."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
@@ -24,10 +24,10 @@ def missing() -> str | None:
 
 
 def require(what: str) -> None:
-    """Refuses to begin what stands on Box2D where it is missing.
+    """Raises if Box2D cannot be imported.
 
     Args:
-        what: needs it; as the user calls it.
+        what: name of what needs it, for the message.
 
     Raises:
         ImportError: one line that says what to install.
@@ -37,10 +37,10 @@ def require(what: str) -> None:
 
 
 def require_gymnasium(what: str) -> None:
-    """Refuses to begin what stands on gymnasium's own walker where it is missing.
+    """Raises if gymnasium's own walker cannot be imported.
 
     Args:
-        what: needs it; as the user calls it.
+        what: name of what needs it, for the message.
 
     Raises:
         ImportError: one line that says what to install.
@@ -51,9 +51,10 @@ def require_gymnasium(what: str) -> None:
 
 
 def _reason(module: str) -> str | None:
+    """Why a module cannot be imported, in one line; None if it can be."""
     try:
         with quiet():
             importlib.import_module(module)
-    except Exception as error:  # Gymnasium has errors of its own for what is not installed.
+    except Exception as error:  # Gymnasium raises its own errors for missing packages.
         return " ".join(str(error).split()) or type(error).__name__
     return None

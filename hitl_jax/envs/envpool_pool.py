@@ -1,4 +1,4 @@
-"""EnvPool's walkers: the same task in C++, stepped by threads of this process."""
+"""`EnvpoolPool`: EnvPool's walkers, the same task in C++, stepped by threads of this process."""
 
 import numpy as np
 
@@ -9,15 +9,16 @@ _NO_LIMIT = 2**31 - 1
 
 
 class EnvpoolPool(CheckedPool):
-    """N walkers of EnvPool behind the interface of all pools.
+    """N walkers of EnvPool as a `WalkerPool`.
 
-    Not the same numbers as gymnasium: Box2D is 2.4 (gymnasium has 2.3), and terrain is seeded once,
-    when the pool is made, so a RESET's seed is not read and an episode cannot be repeated.
+    The numbers are not gymnasium's: EnvPool has Box2D 2.4 (gymnasium has 2.3), and seeds terrain
+    once, when the pool is made. So a RESET's seed is not read, and an episode cannot be repeated.
 
-    EnvPool's own ways, hidden here. The call after a termination resets the walker and ignores the
-    action: that call is our RESET, so that it runs beside the others' steps; other walkers are
-    reset apart. A fall in the step that reaches the time limit is told as truncated only: EnvPool
-    is given no limit, and the limit is kept here, with gymnasium's meaning.
+    Two habits of EnvPool are hidden. Its call after a termination resets the walker and ignores the
+    action: the pool makes that call at the RESET, beside the others' steps; it resets walkers in
+    mid-episode by a separate call. And EnvPool reports a fall in the step that reaches the time
+    limit as truncated alone: the pool gives EnvPool no limit and keeps the limit itself, with
+    gymnasium's meaning.
     """
 
     seedable = False
@@ -36,8 +37,8 @@ class EnvpoolPool(CheckedPool):
             env_id: EnvPool's name of the environment; it must have flat observations and flat
                 continuous actions, onto whose bounds [-1, 1] is scaled.
             num_walkers: N.
-            num_threads: threads that step them.
-            seed: of all their episodes; walker i has `seed + i`.
+            num_threads: number of threads that step them.
+            seed: of all episodes; walker i has `seed + i`.
             max_episode_steps: time limit [steps]; the environment's own by default.
 
         Raises:
@@ -73,7 +74,7 @@ class EnvpoolPool(CheckedPool):
             raise
         super().__init__(num_walkers, observation_size, action_size)
         self._observation = np.zeros((num_walkers, observation_size), np.float32)
-        # Walkers that EnvPool resets at their next call, the terminated ones.
+        # The terminated walkers, which EnvPool resets at their next call.
         self._over = np.zeros(num_walkers, bool)
         self._called = False
 
@@ -96,9 +97,9 @@ class EnvpoolPool(CheckedPool):
             reward[order] = rewards
             terminated[order] = ended
             truncated[order] = info["elapsed_step"] >= self._limit
-            reward[resets] = 0.0  # What EnvPool tells of a call that resets is of no step.
+            reward[resets] = 0.0  # Of a call that resets, these are of no step.
             terminated[resets] = truncated[resets] = False
-        # Not while the others step: EnvPool would mix up the answers of two calls under way.
+        # After the others' steps: EnvPool mixes up the answers of two calls at once.
         forced = np.flatnonzero(resets & ~self._over).astype(np.int32)
         if forced.size:
             observation, info = self._envs.reset(forced)

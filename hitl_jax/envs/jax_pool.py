@@ -1,4 +1,4 @@
-"""The walkers of `hitl_jax.walker` behind the interface of all pools."""
+"""`JaxPool`: a pool of the walkers of `hitl_jax.walker`, stepped by JAX."""
 
 import functools
 import math
@@ -15,17 +15,17 @@ from hitl_jax.xla import full_registers
 from hitl_jax.xla.devices import walker_devices
 from hitl_jax.xla.threefry import make_key
 
-_MOST_LANES = 512
-"""More walkers at once do not fit into a core's cache."""
+MAX_LANES = 512
+"""Walkers that a CPU steps at once; more do not fit into a core's cache."""
 
 
 class Block(NamedTuple):
     """Walkers that are stepped together.
 
     Attributes:
-        device: where.
-        start: the first of the pool's walkers that are of it.
-        stop: the first behind them.
+        device: that steps them.
+        start: index of the block's first walker in the pool.
+        stop: index after the block's last walker.
     """
 
     device: jax.Device
@@ -34,12 +34,12 @@ class Block(NamedTuple):
 
 
 class JaxPool(CheckedPool):
-    """N walkers in blocks of equal size, which are shared out over devices.
+    """N walkers in blocks of equal size, spread over devices.
 
     Attributes:
-        blocks: of walkers.
-        walkers: of each block, leaves [L, ...]; those behind the block's own are never begun.
-        lanes: L, see `xla.full_registers`.
+        blocks: of walkers, each on one device.
+        walkers: states of each block, leaves [L, ...]; lanes beyond its walkers are unused.
+        lanes: L, the rows of a block, filled up to whole vector registers (`xla.full_registers`).
     """
 
     seedable = True
@@ -49,13 +49,13 @@ class JaxPool(CheckedPool):
 
         Args:
             num_walkers: N.
-            num_devices: CPU devices to share them out over; accelerators are all used.
+            num_devices: number of CPU devices to spread them over; accelerators are all used.
             hardcore: whether their terrain has stumps, stairs and pits.
         """
         super().__init__(num_walkers, walker.OBSERVATION_SIZE, walker.ACTION_SIZE)
         devices = walker_devices(min(num_devices, math.ceil(num_walkers / full_registers.full(1))))
         cpu = devices[0].platform == "cpu"
-        needed = math.ceil(num_walkers / _MOST_LANES) if cpu else 1
+        needed = math.ceil(num_walkers / MAX_LANES) if cpu else 1
         share = math.ceil(num_walkers / (math.ceil(needed / len(devices)) * len(devices)))
         starts = range(0, num_walkers, share)
         self.blocks = [
@@ -77,12 +77,12 @@ class JaxPool(CheckedPool):
             self._steps.append(step)
 
     def _finish(self, command: np.ndarray) -> StepBatch:
-        told = [
+        results = [
             [leaf[: block.stop - block.start] for leaf in jax.tree.leaves(jax.device_get(step))]
             for block, step in zip(self.blocks, self._steps, strict=True)
         ]
         seen, reward, terminated, truncated = (
-            np.concatenate(leaves) for leaves in zip(*told, strict=True)
+            np.concatenate(leaves) for leaves in zip(*results, strict=True)
         )
         stepped = command == Command.STEP
         moved = command != Command.IDLE
@@ -95,59 +95,69 @@ class JaxPool(CheckedPool):
         )
 
     def walker(self, index: int) -> Walker:
-        """One of the walkers as it is, to be drawn; leaves without a batch axis."""
+        """The state of one walker, to draw it; leaves without a batch axis."""
         block, lane = divmod(index, self.blocks[0].stop)
         one: Walker = jax.tree.map(lambda leaf: leaf[lane], self.walkers[block])
         return one
 
     def _shutdown(self) -> None:
-        jax.block_until_ready(self.walkers)  # A process that ends under a program's feet crashes.
+        jax.block_until_ready(self.walkers)  # A process that ends while a program runs crashes.
         self.walkers, self._steps = [], []
 
 
 def _waiting(lanes: int, device: jax.Device, hardcore: bool) -> Walker:
-    """Walkers that wait for their first RESET."""
+    """Walkers of a block before their first RESET, leaves [L, ...]."""
     keys = jax.device_put(jnp.zeros(lanes, jnp.uint32), device)
-    return _made(keys, hardcore)
+    return new_walkers(keys, hardcore)
 
 
 @functools.partial(jax.jit, static_argnums=1)
-def _made(seeds: jax.Array, hardcore: bool) -> Walker:
-    return jax.vmap(lambda seed: walker.made(make_key(seed), hardcore))(seeds)
+def new_walkers(seeds: jax.Array, hardcore: bool) -> Walker:
+    """The walkers of episodes' seeds, before the step that ends their reset.
+
+    Args:
+        seeds: uint32 [L].
+        hardcore: static; whether their terrain has stumps, stairs and pits.
+
+    Returns:
+        Their states, leaves [L, ...].
+    """
+    return jax.vmap(lambda seed: walker.new_walker(make_key(seed), hardcore))(seeds)
 
 
 @functools.partial(jax.jit, donate_argnums=0)
 def tick(
     walkers: Walker, command: jax.Array, action: jax.Array, seed: jax.Array
 ) -> tuple[Walker, Step]:
-    """A tick of walkers; what it tells of one that is idle means nothing.
+    """One tick of a block's walkers.
 
     Args:
-        walkers: leaves [L, ...]; donated.
+        walkers: their states, leaves [L, ...]; donated.
         command: a `Command` for each, [L].
-        action: [L, A].
-        seed: of those that begin, uint32 [L].
+        action: read where the command is STEP, [L, A].
+        seed: read where the command is RESET, uint32 [L].
 
     Returns:
-        The walkers and what came of the tick, leaves [L, ...].
+        The states, and the results of the tick, leaves [L, ...]. Those of idle walkers mean
+        nothing.
     """
     begins, idle = command == Command.RESET, command == Command.IDLE
 
     hardcore = walkers.terrain.boxes is not None
 
-    def renewed() -> Walker:
-        return _chosen(begins, _made(seed, hardcore), walkers)
+    def with_new() -> Walker:
+        return _chosen(begins, new_walkers(seed, hardcore), walkers)
 
-    if gpu.uses_four_threads():  # A GPU would wait for the host to look at the condition.
-        before = renewed()
+    if gpu.uses_four_threads():  # On a GPU a condition waits for the host.
+        before = with_new()
     else:
-        before = jax.lax.cond(begins.any(), renewed, lambda: walkers)
+        before = jax.lax.cond(begins.any(), with_new, lambda: walkers)
     after, step = jax.vmap(walker.step)(before, jnp.where(begins[:, None], 0.0, action))
     return _chosen(idle, walkers, after), step
 
 
 def _chosen(condition: jax.Array, first: Walker, second: Walker) -> Walker:
-    """Walkers of the first where a condition [lanes] holds."""
+    """Walkers of `first` where a condition [L] holds, else of `second`."""
 
     def choose(a: jax.Array, b: jax.Array) -> jax.Array:
         return jnp.where(condition.reshape(-1, *[1] * (a.ndim - 1)), a, b)

@@ -1,4 +1,4 @@
-"""Gymnasium's own environments, several in one process, stepped one after the other."""
+"""Backend `gymnasium`: gymnasium's own environments, stepped one after the other in a worker."""
 
 from typing import Any
 
@@ -13,15 +13,15 @@ from hitl_jax.errors import Unplayable
 
 _TRIAL_STEPS = 20
 _TOLERANCE = 0.01
-"""What earlier episodes may change in the first observation and reward: 0.0004 in Box2D's walkers;
-running statistics change them by 0.5 to 50."""
+"""Most that earlier episodes may change the first observation and reward: by 0.0004 in Box2D's
+walkers; running statistics change them by 0.5 to 50."""
 
 
 class OfficialWalkers:
-    """The walkers of one process, any environment of flat observations and actions.
+    """The environments of one process: any with flat observations and actions (`worker.Walkers`).
 
-    Each episode is played in a new environment. An old one may not be as it was after its `reset`:
-    Box2D orders contacts by what its world held before, and solves them in that order.
+    Each episode is played in a new environment, since a used one is not as new after its `reset`:
+    Box2D solves contacts in an order that depends on what its world held before.
 
     Attributes:
         observation_size: O.
@@ -29,7 +29,7 @@ class OfficialWalkers:
     """
 
     def __init__(self, env_id: str, num_walkers: int):
-        """Tries the environment out; each walker waits for its first RESET.
+        """Checks the environment by a few steps; each walker waits for its first RESET.
 
         Args:
             env_id: gymnasium's name of the environment.
@@ -44,31 +44,31 @@ class OfficialWalkers:
         self.observation_size = flat_size(env_id, "observation", env.observation_space)
         self.action_size = flat_size(env_id, "action", env.action_space)
         self._scaled = action_map(env_id, env.action_space)
-        self._try_out(env)
+        self._require_repeatable(env)
         self._envs: list[gymnasium.Env | None] = [None] * num_walkers
 
     def tick(self, arrays: SharedArrays) -> None:
-        """Does what is asked of each walker; the pool has cleared reward and flags."""
+        """Does each walker's command; the pool has set reward and flags to 0."""
         _, observation, seed, reward, command, terminated, truncated = arrays
         action = self._scaled(arrays.action)
-        for index, order in enumerate(command.tolist()):
+        for index, what in enumerate(command.tolist()):
             env = self._envs[index]
-            if order == Command.RESET:
+            if what == Command.RESET:
                 if env is not None:
                     env.close()
                 env = self._envs[index] = _make(self._env_id)
                 observation[index], _ = env.reset(seed=int(seed[index]))
-            elif order == Command.STEP:
+            elif what == Command.STEP:
                 assert env is not None
                 observation[index], gain, terminated[index], truncated[index], _ = env.step(
                     action[index]
                 )
-                reward[index] = np.asarray(gain).item()  # Some are arrays of one number.
+                reward[index] = np.asarray(gain).item()  # Some rewards are arrays of one number.
 
-    def _try_out(self, env: gymnasium.Env) -> None:
-        """Raises Unplayable if an episode is seen to depend on more than its seed and actions."""
+    def _require_repeatable(self, env: gymnasium.Env) -> None:
+        """Raises Unplayable if an episode is found to depend on more than seed and actions."""
         if name := _running_wrapper(env):
-            raise self._forgetful(name)
+            raise self._carries_over(name)
         first = self._trial(env, 0)
         env.close()
         env = _make(self._env_id)
@@ -81,12 +81,13 @@ class OfficialWalkers:
         self._trial(env, 1)
         later = self._trial(env, 0)
         env.close()
-        # Not what comes then: with contacts in another order a foot may touch down later.
+        # Later steps are not compared: with contacts in another order a foot may land later.
         one, other = (np.append(rows[0], rows[1, self.observation_size]) for rows in (first, later))
         if not np.allclose(one, other, rtol=_TOLERANCE, atol=_TOLERANCE, equal_nan=True):
-            raise self._forgetful("an episode")
+            raise self._carries_over("an episode")
 
-    def _forgetful(self, what: str) -> Unplayable:
+    def _carries_over(self, what: str) -> Unplayable:
+        """The error for an environment whose episodes depend on earlier ones."""
         return Unplayable(
             self._env_id,
             f"{what} takes something over from the episodes before (running statistics?): "
@@ -95,7 +96,7 @@ class OfficialWalkers:
         )
 
     def _trial(self, env: gymnasium.Env, seed: int) -> np.ndarray:
-        """The beginning of an episode, float64 [steps, O + 3]."""
+        """Plays the beginning of an episode; rows of `_row`, float64 [steps, O + 3]."""
         rng = np.random.default_rng(0)
         seen, _ = env.reset(seed=seed)
         rows = [self._row(seen, 0.0, False, False)]
@@ -105,14 +106,15 @@ class OfficialWalkers:
         return np.array(rows)
 
     def _row(self, seen: Any, reward: Any, terminated: bool, truncated: bool) -> np.ndarray:
+        """Observation, reward and flags as one array [O + 3]; checks the observation's shape."""
         if np.shape(seen) != (self.observation_size,):
-            told = f"its space says {(self.observation_size,)}"
-            raise Unplayable(self._env_id, f"an observation has shape {np.shape(seen)}: {told}")
+            expected = f"its space says {(self.observation_size,)}"
+            raise Unplayable(self._env_id, f"an observation has shape {np.shape(seen)}: {expected}")
         return np.array([*seen, np.asarray(reward).item(), terminated, truncated], np.float64)
 
 
 def _make(env_id: str) -> gymnasium.Env:
-    """A new environment.
+    """Makes a new environment.
 
     Raises:
         Unplayable: if gymnasium does not know it, or a module is missing.
@@ -132,7 +134,7 @@ def _make(env_id: str) -> gymnasium.Env:
 
 
 def _running_wrapper(env: gymnasium.Env) -> str | None:
-    """Name of gymnasium's wrapper with running statistics, if there is one."""
+    """Name of the environment's first wrapper with running statistics, if it has one."""
     while isinstance(env, gymnasium.Wrapper):
         if isinstance(env, NormalizeObservation | NormalizeReward) and env.update_running_mean:
             return type(env).__name__

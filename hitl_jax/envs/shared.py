@@ -1,4 +1,4 @@
-"""The memory that a pool and its worker processes share: a few arrays in one anonymous file."""
+"""The arrays that a pool shares with its worker processes, in one anonymous file."""
 
 import mmap
 import struct
@@ -7,14 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 SIZES = struct.Struct("<2I")
-"""O and A, as a worker tells them when it is ready."""
+"""A ready worker's first answer: O and A; both 0 if it cannot play the environment."""
 
 REASON_BYTES = 2000
-"""Of what a worker says at most, in one piece, when it cannot play an environment."""
+"""Longest reason that a worker gives when it cannot play the environment [bytes]."""
 
 
 class SharedArrays(NamedTuple):
-    """One tick of N walkers: what the pool asks, and what the workers answer.
+    """One tick of N walkers: the pool writes action, seed and command, the workers write the rest.
 
     Attributes:
         action: float32 [N, A].
@@ -36,17 +36,17 @@ class SharedArrays(NamedTuple):
 
 
 def num_bytes(num_walkers: int, observation_size: int, action_size: int) -> int:
-    """Size of the file."""
+    """Size of the file [bytes]."""
     return num_walkers * (4 * (action_size + observation_size + 2) + 3)
 
 
 def map_arrays(
     descriptor: int, num_walkers: int, observation_size: int, action_size: int
 ) -> SharedArrays:
-    """Maps the file; the mapping lives as long as the arrays.
+    """Maps the file as arrays; the mapping lives as long as they do.
 
     Args:
-        descriptor: of a file of `num_bytes` bytes; may be closed afterwards.
+        descriptor: of a file of `num_bytes` bytes; it may be closed afterwards.
         num_walkers: N.
         observation_size: O.
         action_size: A.

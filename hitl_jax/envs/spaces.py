@@ -1,4 +1,4 @@
-"""What the spaces of gymnasium's environments must be, and how actions are brought into them."""
+"""Checks the spaces of gymnasium's environments, and scales actions from [-1, 1] onto them."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,15 +10,15 @@ from hitl_jax.errors import Unplayable
 
 
 def flat_size(env_id: str, name: str, space: Any) -> int:
-    """Length of the vectors in a space.
+    """Length of the vectors of a space.
 
     Args:
-        env_id: of the environment.
+        env_id: name of the environment, for the message.
         name: `observation` or `action`.
-        space: gymnasium's.
+        space: gymnasium's space.
 
     Raises:
-        Unplayable: if it does not hold vectors of at least one number.
+        Unplayable: if its elements are not vectors of at least one number.
     """
     box = isinstance(space, gymnasium.spaces.Box)
     if not box or len(space.shape) != 1 or space.shape[0] < 1:
@@ -27,21 +27,21 @@ def flat_size(env_id: str, name: str, space: Any) -> int:
 
 
 def action_map(env_id: str, space: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """What brings actions of a pool, in [-1, 1], into an environment's box, linearly.
+    """Makes the function that scales a pool's actions onto an environment's bounds.
 
-    Bounds of [-1, 1] leave them as they are. In another box -1 and 1 become its bounds, and what is
-    beyond them is clipped.
+    With bounds of [-1, 1] actions stay as they are. With other bounds actions are clipped to
+    [-1, 1] and scaled linearly: -1 and 1 become the bounds.
 
     Args:
-        env_id: of the environment.
-        space: gymnasium's box of its actions, of the shape [A].
+        env_id: name of the environment, for the message.
+        space: gymnasium's box of its actions [A].
 
     Returns:
-        A function of actions float32 [..., A]; its result is a new array, which the environment may
+        A function of actions float32 [..., A]. It returns a new array, which the environment may
         keep or change.
 
     Raises:
-        Unplayable: if the actions are whole numbers, or a bound is not finite.
+        Unplayable: if the actions are integers, or a bound is not finite.
     """
     if not np.issubdtype(space.dtype, np.floating):
         raise Unplayable(env_id, f"actions must be floats, not {space}")

@@ -1,4 +1,4 @@
-"""One walker in this process, whose bodies can be seen: by the lean pool's rules."""
+"""`VisibleWalker`: one lean walker in this process, whose bodies and terrain can be drawn."""
 
 from typing import Any, NamedTuple
 
@@ -10,20 +10,20 @@ from hitl_jax.envs.shared import SharedArrays
 from hitl_jax.walker import bipedal
 
 LIDAR = slice(14, 24)
-"""Of an observation: shares of the rays."""
+"""Lidar fractions in an observation."""
 
 FEET = (8, 13)
-"""Of an observation: whether each foot stands."""
+"""Ground contact of the two feet in an observation."""
 
 
 class Answer(NamedTuple):
-    """What came of a step.
+    """The results of a step.
 
     Attributes:
-        observation: [24].
+        observation: s_{t+1}, float32 [24].
         reward: r(s, a).
-        terminated: whether the walker fell or reached the end.
-        truncated: whether that was the last step an episode may have.
+        terminated: whether the walker fell or reached the end of the terrain.
+        truncated: whether the step reached the time limit.
     """
 
     observation: np.ndarray
@@ -32,8 +32,8 @@ class Answer(NamedTuple):
     truncated: bool
 
 
-class Plant:
-    """The walker of a live session."""
+class VisibleWalker:
+    """A walker with the numbers of backend `lean`, for live sessions and films."""
 
     def __init__(self) -> None:
         """Waits for the first reset.
@@ -56,16 +56,17 @@ class Plant:
         )
 
     def reset(self, seed: int) -> np.ndarray:
-        """Begins the episode of a seed; the first observation, [24]."""
+        """Begins a seed's episode; returns the first observation, float32 [24]."""
         self._arrays.seed[0] = seed
         return self._tick(Command.RESET).observation
 
     def step(self, action: np.ndarray) -> Answer:
-        """One step of 0.02 s with an action, [4]."""
+        """Makes one step of 0.02 s with an action [4]."""
         self._arrays.action[0] = action
         return self._tick(Command.STEP)
 
     def _tick(self, command: int) -> Answer:
+        """Does a command and reads the results."""
         arrays = self._arrays
         arrays.command[0] = command
         self._walkers.tick(arrays)
@@ -77,7 +78,7 @@ class Plant:
         )
 
     def terrain(self) -> dict[str, list[float]]:
-        """Corners of the ground [m]."""
+        """Corners of the ground: lists `x` and `y` [m]."""
         x, y = self._walkers.terrain(0)
         return {"x": [round(v, 3) for v in x], "y": [round(v, 3) for v in y]}
 
@@ -87,7 +88,7 @@ class Plant:
 
 
 def shapes() -> dict[str, Any]:
-    """What does not move in the frame of its body: outlines [m], rays, and where the goal is."""
+    """What the page draws and never changes: outlines [m], lidar rays, and the goal's x [m]."""
     return {
         "shapes": outlines(),
         "lidar": {"angles": list(bipedal.LIDAR_ANGLES), "range": bipedal.LIDAR_RANGE},

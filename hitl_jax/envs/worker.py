@@ -1,9 +1,9 @@
-"""A process that steps some of a pool's walkers; `WorkerPool` starts it, no person does.
+"""The program of a worker process, which steps some of a pool's walkers; `WorkerPool` starts it.
 
-It first tells the sizes of its spaces, or sizes of 0 and why it cannot play the environment. Then
-each byte on stdin is a tick, and is passed on to the next worker: commands and actions are in the
-shared memory, results go there, and a byte back says that they are there. When stdin closes it
-ends; so no worker outlives its pool, not even if the pool's process was killed.
+A worker first answers with the sizes of its spaces, or with sizes of 0 and the reason why it cannot
+play the environment. Then each byte on its stdin is a tick, which it passes on to the next worker.
+It reads commands and actions from the shared memory, writes the results there, and answers with a
+byte. When its stdin closes, it ends: so no worker outlives its pool, even if the pool is killed.
 """
 
 import contextlib
@@ -17,6 +17,7 @@ from hitl_jax.envs.shared import REASON_BYTES, SIZES, SharedArrays, map_arrays
 from hitl_jax.errors import Unplayable
 
 _NEW_OBJECTS = 50_000
+"""New objects between two runs of the garbage collector."""
 
 
 class Walkers(Protocol):
@@ -31,7 +32,7 @@ class Walkers(Protocol):
     action_size: int
 
     def tick(self, arrays: SharedArrays) -> None:
-        """Does what is asked of each walker; the pool has cleared reward and flags."""
+        """Does each walker's command; the pool has set reward and flags to 0."""
         ...
 
 
@@ -57,17 +58,17 @@ def main(
         num_workers: workers of the pool.
         wakes: file descriptor of the next worker's stdin; None for the last worker.
     """
-    # What is sent to the whole group, as Ctrl-C is, is the pool's to handle.
+    # The pool handles signals to the whole process group, such as Ctrl-C's.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    # Walkers leave a few cycles at a reset; looking for them among all terrains at every seven
-    # hundredth new object takes 3 % of a tick.
+    # A reset leaves a few reference cycles. A search for them after every 700 new objects, Python's
+    # default, goes through all terrains and takes 3 % of a tick.
     gc.set_threshold(_NEW_OBJECTS)
     try:
         walkers = _make(backend, env_id, len(range(first, num_walkers, num_workers)))
     except Unplayable as error:
         os.write(reply, SIZES.pack(0, 0) + error.why.encode()[:REASON_BYTES])
-        _await_tick(None)  # There will be none; the pool reads why, and closes stdin.
+        _await_tick(None)  # None comes: the pool reads the reason and closes stdin.
         return
     sizes = walkers.observation_size, walkers.action_size
     os.write(reply, SIZES.pack(*sizes))
@@ -84,15 +85,16 @@ def main(
 
 
 def _await_tick(wakes: int | None) -> bool:
-    """Sleeps until a tick begins, and passes it on; False if no more will come."""
+    """Sleeps until a tick begins, and wakes the next worker; False if stdin was closed."""
     asked = bool(os.read(0, 1))
     if asked and wakes is not None:
-        with contextlib.suppress(BrokenPipeError):  # The next one died; the pool will see.
+        with contextlib.suppress(BrokenPipeError):  # The next worker died; the pool notices it.
             os.write(wakes, b".")
     return asked
 
 
 def _make(backend: str, env_id: str, num_walkers: int) -> Walkers:
+    """The walkers of a backend."""
     if backend == "lean":
         from hitl_jax.envs.lean import LeanWalkers
 

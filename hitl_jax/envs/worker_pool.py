@@ -1,4 +1,8 @@
-"""Walkers on gymnasium's Box2D, several in each of a few worker processes."""
+"""`WorkerPool`: steps Box2D's walkers in a few worker processes, several walkers in each.
+
+A dead worker is noticed in `WorkerPool._reply_unless_a_worker_died`; its pool then starts all
+workers again and plays their episodes up to the tick (`_restart_and_repeat`).
+"""
 
 import contextlib
 import dataclasses
@@ -22,10 +26,11 @@ from hitl_jax.envs.shared import REASON_BYTES, SIZES, map_arrays, num_bytes
 from hitl_jax.errors import Unplayable, WalkerError
 
 _CLOSE_SECONDS = 5.0
-_LOOK_AFTER_SECONDS = 0.1
+_DEATH_CHECK_SECONDS = 0.1
+"""How often a pool that waits for an answer looks whether a worker has died."""
 _LOG_BYTES = 8192
 _ATTEMPTS = 5
-"""To play a tick again in which a worker was killed; some walkers would kill it each time."""
+"""How often a tick is tried in which workers are killed; some walkers kill theirs each time."""
 
 _logger = logging.getLogger(__name__)
 
@@ -41,8 +46,8 @@ _WORKER_ENVIRONMENT = {
 }
 
 
-class _Killed(WalkerError):
-    """A worker was killed by a signal: nothing says that it would happen again."""
+class _WorkerKilled(WalkerError):
+    """A worker was killed by a signal: the same tick may succeed when it is tried again."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,12 +55,12 @@ class _Worker:
     """A worker process and the pool's ends of its pipes.
 
     Attributes:
-        index: its place among the workers.
-        process: its stdin starts a tick, and ends the process when it closes. Only the first
-            worker's is held by the pool: each wakes the next.
+        index: of the worker, from 0.
+        process: a byte on its stdin starts a tick; when stdin closes, the process ends. The pool
+            holds the first worker's stdin alone: each worker wakes the next.
         reply: file descriptor on which it answers.
-        log: what it wrote to stdout and stderr; read only if it fails.
-        poll: tells when there is something to read from `reply`.
+        log: its stdout and stderr; read only if it fails.
+        poll: waits for bytes on `reply`.
     """
 
     index: int
@@ -65,11 +70,11 @@ class _Worker:
     poll: select.poll
 
     def has_answered(self, seconds: float) -> bool:
-        """Whether there is something to read, or will be so soon; also where its pipe is closed."""
+        """Waits some seconds for an answer; also true when its end of the pipe is closed."""
         return bool(self.poll.poll(1000 * seconds))
 
-    def fate(self) -> str:
-        """How it ended, in one line."""
+    def how_it_ended(self) -> str:
+        """How the process ended, in one line."""
         try:
             code = self.process.wait(_CLOSE_SECONDS)
         except subprocess.TimeoutExpired:
@@ -79,7 +84,7 @@ class _Worker:
         return ": ".join([f"exited with {code}", *self.log_end().splitlines()[-1:]])
 
     def log_end(self) -> str:
-        """The end of its log."""
+        """The last bytes of its log."""
         self.log.seek(max(0, os.fstat(self.log.fileno()).st_size - _LOG_BYTES))
         return self.log.read().decode(errors="replace").strip()
 
@@ -87,10 +92,10 @@ class _Worker:
 class WorkerPool(CheckedPool):
     """N walkers over W worker processes, walker i in worker i mod W.
 
-    An episode is a function of its seed and actions alone: neither W, nor the walker's place, nor
+    An episode is a function of its seed and actions alone: neither W, nor the walker's index, nor
     its earlier episodes matter. It equals, bit for bit, the first episode of a new
-    `gymnasium.make(env_id)` after `reset(seed=seed)`. So a worker that was killed is started again,
-    its walkers are brought back by playing their episodes again, and the caller sees no difference.
+    `gymnasium.make(env_id)` after `reset(seed=seed)`. So after a worker was killed the workers are
+    started again and the walkers' episodes are replayed, and the caller sees no difference.
     """
 
     seedable = True
@@ -110,11 +115,11 @@ class WorkerPool(CheckedPool):
             env_id: gymnasium's name of the environment, as in `gymnasium.make`.
             num_walkers: N.
             num_workers: W, at most N.
-            start_seconds: how long the workers may take to come up.
+            start_seconds: time that the workers may take to come up [s].
 
         Raises:
             ValueError: if the environment cannot be played.
-            WalkerError: if a worker fails or takes longer.
+            WalkerError: if a worker fails, or does not come up in time.
         """
         self._names = (backend, env_id)
         self._numbers = (num_walkers, num_workers)
@@ -122,7 +127,7 @@ class WorkerPool(CheckedPool):
         self._workers: list[_Worker] = []
         self._memory = _anonymous_file()
         try:
-            sizes = self._surely(self._launch_all)
+            sizes = self._try_again_if_killed(self._launch_all)
             os.ftruncate(self._memory, num_bytes(num_walkers, *sizes))
             self._arrays = map_arrays(self._memory, num_walkers, *sizes)
         except BaseException:
@@ -134,7 +139,7 @@ class WorkerPool(CheckedPool):
 
     @property
     def process_ids(self) -> list[int]:
-        """Of the workers."""
+        """Process ids of the workers, in their order."""
         return [worker.process.pid for worker in self._workers]
 
     def _start(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> None:
@@ -147,18 +152,18 @@ class WorkerPool(CheckedPool):
             array[:] = 0
         first = self._workers[0].process.stdin
         assert first is not None
-        with contextlib.suppress(BrokenPipeError):  # It died; recv says why.
+        with contextlib.suppress(BrokenPipeError):  # The worker died; recv notices it.
             os.write(first.fileno(), b".")
 
     def _finish(self, command: np.ndarray) -> StepBatch:
         arrays = self._arrays
         try:
             try:
-                self._replies(1)
-            except _Killed as error:
-                self._end_killed(error)
+                self._await_replies(1)
+            except _WorkerKilled as error:
+                self._end_others_of_killed(error)
                 asked = command, arrays.action.copy(), arrays.seed.copy()
-                self._surely(lambda: self._repeat(*asked))
+                self._try_again_if_killed(lambda: self._restart_and_repeat(*asked))
         except WalkerError:
             self.close()
             raise
@@ -173,11 +178,12 @@ class WorkerPool(CheckedPool):
             truncated=arrays.truncated.copy(),
         )
 
-    def _repeat(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> None:
-        """Starts the workers again, brings the walkers back, and plays the tick once more.
+    def _restart_and_repeat(
+        self, command: np.ndarray, action: np.ndarray, seed: np.ndarray
+    ) -> None:
+        """Starts all workers again, replays the walkers' episodes, and repeats the tick.
 
-        All of them: which walkers a dead one's neighbours had stepped, and whom it had woken,
-        cannot be known.
+        All workers, since the pool cannot know which walkers the others had stepped already.
         """
         self._launch_all()
         walkers = np.flatnonzero(self._playing).tolist()
@@ -185,87 +191,113 @@ class WorkerPool(CheckedPool):
             episodes = {walker: self._log.of(walker) for walker in walkers}
             for commands, actions in playback(self.num_walkers, episodes):
                 self._start(commands, actions, self._seeds)
-                self._replies(1)
+                self._await_replies(1)
         self._start(command, action, seed)
-        self._replies(1)
+        self._await_replies(1)
 
-    def _surely(self, launch: Callable[[], T]) -> T:
-        """Does what begins with `_launch_all`; again if a worker is killed meanwhile."""
+    def _try_again_if_killed(self, launch: Callable[[], T]) -> T:
+        """Calls a function that launches the workers; again if one is killed meanwhile."""
         for _ in range(_ATTEMPTS - 1):
             try:
                 return launch()
-            except _Killed as error:
-                self._end_killed(error)
+            except _WorkerKilled as error:
+                self._end_others_of_killed(error)
         return launch()
 
-    def _end_killed(self, error: _Killed) -> None:
+    def _end_others_of_killed(self, error: _WorkerKilled) -> None:
+        """Ends the workers that are left, to start all again."""
         _logger.warning("%s; all are started again", error)
         self._end_workers()
 
     def _launch_all(self) -> tuple[int, int]:
-        """Starts all workers at once and waits until they are ready; O and A.
+        """Starts all workers at once and waits until they are ready.
+
+        Returns:
+            O and A.
 
         Raises:
             Unplayable: if a worker cannot play the environment.
         """
         num_walkers, num_workers = self._numbers
-        # From the last to the first, since each gets the end of the pipe that wakes the next.
-        # Were we to wake them all, the first could take our core before we reach the second.
+        # From the last to the first, since each gets the pipe that wakes the next. The pool wakes
+        # the first alone: else that one could take the pool's core before the second is woken.
         for index in reversed(range(num_workers)):
             following = self._workers[0].process.stdin if self._workers else None
             worker = _launch(*self._names, self._memory, num_walkers, index, num_workers, following)
             self._workers.insert(0, worker)
             if following is not None:
                 following.close()
-        answers = self._replies(SIZES.size, time.monotonic() + self._start_seconds)
+        answers = self._await_replies(SIZES.size, time.monotonic() + self._start_seconds)
         for worker, answer in zip(self._workers, answers, strict=True):
             if not any(SIZES.unpack(answer)):
                 raise Unplayable(self._names[1], os.read(worker.reply, REASON_BYTES).decode())
         return SIZES.unpack(answers[0])
 
-    def _replies(self, size: int, deadline: float = float("inf")) -> list[bytes]:
-        """Sleeps until every worker has answered; the answers, in the workers' order.
+    def _await_replies(self, size: int, deadline: float = float("inf")) -> list[bytes]:
+        """Sleeps until every worker has answered.
 
         Args:
             size: bytes in an answer.
-            deadline: on the monotonic clock, s.
+            deadline: on the monotonic clock [s].
+
+        Returns:
+            The answers, in the workers' order.
 
         Raises:
             WalkerError: if a worker died, or the deadline passed.
         """
-        answers: list[bytes] = []
-        waiting = list(self._workers)
-        while waiting:
-            # The last to begin is the last to end, as a rule: so we are woken once a tick.
-            worker = waiting[-1]
-            # A pipe of a dead worker wakes us; but not of another worker than the one waited for,
-            # nor while another process (a fork of ours) holds its other end.
-            while not worker.has_answered(_LOOK_AFTER_SECONDS):
-                for each in self._workers:
-                    if each.process.poll() is not None:
-                        self._fail(each)
-                if time.monotonic() >= deadline:
-                    late = sum(not each.has_answered(0.0) for each in waiting)
-                    told = f"{late} of {len(self._workers)} walker processes"
-                    raise WalkerError(f"{told} did not come up in time")
-            answer = os.read(worker.reply, size)
-            if not answer:
-                self._fail(worker)
-            answers.append(answer)
-            waiting.pop()
+        # The last worker is woken last and mostly ends last, so the pool is woken once a tick.
+        answers = [
+            self._reply_unless_a_worker_died(worker, size, deadline)
+            for worker in reversed(self._workers)
+        ]
         return answers[::-1]
 
-    def _fail(self, worker: _Worker) -> NoReturn:
-        """Raises for a worker that ended by itself."""
-        fate = worker.fate()
+    def _reply_unless_a_worker_died(self, worker: _Worker, size: int, deadline: float) -> bytes:
+        """Waits for one worker's answer; here, and nowhere else, a dead worker is noticed.
+
+        There are two signs: the awaited worker's pipe is closed, so that a read gives no bytes; or
+        the process of any worker has ended, which is looked at every `_DEATH_CHECK_SECONDS`. (A
+        closed pipe is no sign of the other workers' deaths, nor of the awaited one's while another
+        process, such as a fork of ours, holds the pipe open.)
+
+        Args:
+            worker: the awaited one; all workers after it have answered.
+            size: bytes in an answer.
+            deadline: on the monotonic clock [s].
+
+        Returns:
+            The answer.
+
+        Raises:
+            WalkerError: if a worker died, or the deadline passed.
+        """
+        while not worker.has_answered(_DEATH_CHECK_SECONDS):
+            for each in self._workers:
+                if each.process.poll() is not None:
+                    self._raise_for_dead(each)
+            if time.monotonic() >= deadline:
+                late = sum(not each.has_answered(0.0) for each in self._workers[: worker.index + 1])
+                who = f"{late} of {len(self._workers)} walker processes"
+                raise WalkerError(f"{who} did not come up in time")
+        answer = os.read(worker.reply, size)
+        if not answer:
+            self._raise_for_dead(worker)
+        return answer
+
+    def _raise_for_dead(self, worker: _Worker) -> NoReturn:
+        """Raises for a worker whose process has ended."""
+        ending = worker.how_it_ended()
         if worker.process.returncode == 0 and worker.index > 0:
-            # It ended since nobody could wake it any more: the one before it is gone.
-            self._fail(self._workers[worker.index - 1])
+            # It ended since its stdin was closed: the worker before it, which holds that, is dead.
+            self._raise_for_dead(self._workers[worker.index - 1])
         number = f"{worker.index + 1} of {len(self._workers)}"
         kind = (
-            _Killed if worker.process.returncode and worker.process.returncode < 0 else WalkerError
+            _WorkerKilled
+            if worker.process.returncode and worker.process.returncode < 0
+            else WalkerError
         )
-        error = kind(f"walker process {number} {fate}")
+        error = kind(f"walker process {number} {ending}")
         if log := worker.log_end():
             error.add_note(f"The end of its log:\n{log}")
         raise error
@@ -275,7 +307,7 @@ class WorkerPool(CheckedPool):
         os.close(self._memory)
 
     def _end_workers(self, seconds: float = 0.0) -> None:
-        """Tells the workers to end, and kills those that have not after so long."""
+        """Closes the workers' stdin, so that they end; after `seconds` kills those left."""
         for worker in self._workers:
             assert worker.process.stdin is not None
             worker.process.stdin.close()
@@ -299,10 +331,10 @@ def _launch(
     num_workers: int,
     following: IO[bytes] | None,
 ) -> _Worker:
-    """Starts a worker; does not wait for it.
+    """Starts a worker's process, and does not wait for it.
 
-    A plain new interpreter: no fork of a process that has JAX's threads, no second import of the
-    user's main module. Its warnings at import do not reach the terminal.
+    It is a new interpreter: a fork would copy a process with JAX's threads, and `multiprocessing`
+    would import the user's main module again. Warnings at its imports do not reach the terminal.
     """
     log = tempfile.TemporaryFile()  # noqa: SIM115, the pool closes it
     reply, answer = os.pipe()

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax.config import typed
-from hitl_jax.envs.visible_walker import Answer, Plant
+from hitl_jax.envs.visible_walker import Answer, VisibleWalker
 from hitl_jax.errors import WalkerError
 from hitl_jax.learner.frame import flags_of
 from hitl_jax.live import person
@@ -79,7 +79,7 @@ class Session:
         """
         agent = setup.agent
         self.setup = setup
-        self.plant = Plant()
+        self.plant = VisibleWalker()
         # What was learned before need not begin with random actions.
         warmup = setup.hyper.warmup_steps if setup.start is None else 0
         self._hyper = typed(dataclasses.replace(setup.hyper, warmup_steps=warmup))

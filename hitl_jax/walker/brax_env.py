@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from hitl_jax.walker import env
 
 with warnings.catch_warnings():
-    # What Brax's own imports say.
+    # Brax's own imports warn.
     warnings.simplefilter("ignore")
     from brax.envs.base import Env, State
 
@@ -16,8 +16,8 @@ with warnings.catch_warnings():
 class BipedalWalker(Env):
     """BipedalWalker-v3 for Brax's wrappers and agents.
 
-    `done` is a fall or the goal. The time limit is the wrappers' own: give them an `episode_length`
-    of `MOST_STEPS`. Brax's automatic reset begins each of a walker's episodes on its first terrain.
+    `done` is a fall or the goal. Brax's wrappers keep the time limit: give them an `episode_length`
+    of `MOST_STEPS`. Brax's automatic reset repeats a walker's first terrain in all its episodes.
 
     Attributes:
         hardcore: whether terrain has stumps, stairs and pits (BipedalWalkerHardcore-v3, whose limit
@@ -32,7 +32,7 @@ class BipedalWalker(Env):
         """Begins an episode on new terrain.
 
         Args:
-            rng: a key, consumed.
+            rng: a JAX key, consumed.
 
         Returns:
             The first state; its observation is [24].
@@ -45,11 +45,11 @@ class BipedalWalker(Env):
         """One step of 0.02 s.
 
         Args:
-            state: before it.
+            state: before the step.
             action: [4], clipped to [-1, 1].
 
         Returns:
-            The state after it.
+            The state after the step.
         """
         walker, step = env.step(state.pipeline_state, action)
         return state.replace(  # type: ignore[attr-defined, no-any-return, unused-ignore]
@@ -61,15 +61,15 @@ class BipedalWalker(Env):
 
     @property
     def observation_size(self) -> int:
-        """24."""
+        """Length of an observation, 24."""
         return env.OBSERVATION_SIZE
 
     @property
     def action_size(self) -> int:
-        """4."""
+        """Length of an action, 4."""
         return env.ACTION_SIZE
 
     @property
     def backend(self) -> str:
-        """The physics: our own."""
+        """Name of the physics that Brax shows: our own."""
         return "hitl_jax"

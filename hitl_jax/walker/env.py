@@ -1,4 +1,4 @@
-"""BipedalWalker-v3 as pure functions of one walker; `vmap` them over as many as you like."""
+"""BipedalWalker-v3 as pure functions of one walker: `reset` and `step`; map them with `vmap`."""
 
 import dataclasses
 
@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax.walker import bipedal, constants, terrain
-from hitl_jax.walker.batching.batch_last_vmap import of_one
+from hitl_jax.walker.batching.batch_last_vmap import single_from_batch
 from hitl_jax.walker.geometry import Vec, pose, vec
-from hitl_jax.walker.physics import ground, joints, manifolds, world
-from hitl_jax.walker.physics.joints import Impulses
+from hitl_jax.walker.physics import ground, joints, world
+from hitl_jax.walker.physics.contacts import no_contacts
+from hitl_jax.walker.physics.joints import JointImpulses
 from hitl_jax.walker.physics.world import World
 from hitl_jax.walker.terrain import Terrain
 
@@ -18,6 +19,7 @@ OBSERVATION_SIZE = 24
 ACTION_SIZE = 4
 MOST_STEPS, MOST_HARDCORE_STEPS = bipedal.MOST_STEPS, bipedal.MOST_HARDCORE_STEPS
 _EFFORT = 0.00035 * bipedal.MOTORS_TORQUE
+"""Cost of a motor at full torque in a step, part of the reward."""
 
 
 @jax.tree_util.register_dataclass
@@ -26,10 +28,10 @@ class Walker:
     """A walker in the middle of an episode.
 
     Attributes:
-        world: its bodies; see `World`, without the last axis.
-        terrain: its ground.
-        shaping: the potential whose growth is the reward.
-        steps: made so far, -1 before the one that ends the reset, int32.
+        world: state of its bodies; see `World`, without the batch axis.
+        terrain: the ground, leaves [TERRAIN_LENGTH].
+        shaping: potential of the state; a step's reward is its growth minus the motors' cost.
+        steps: number of steps so far, -1 before the one that ends the reset, int32.
     """
 
     world: World
@@ -41,13 +43,13 @@ class Walker:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Step:
-    """What came of a step; `terminated` and `truncated` can both be true.
+    """The results of a step; `terminated` and `truncated` can both be true.
 
     Attributes:
-        observation: [24].
-        reward: of the step.
-        terminated: whether the walker fell or reached the end, bool.
-        truncated: whether the step was the last that an episode may have, bool.
+        observation: s_{t+1}, float32 [24].
+        reward: r(s, a), float32 [].
+        terminated: whether the walker fell or reached the end of the terrain, bool [].
+        truncated: whether the step reached the time limit, bool [].
     """
 
     observation: jax.Array
@@ -66,32 +68,32 @@ def reset(key: jax.Array, hardcore: bool = False) -> tuple[Walker, jax.Array]:
     Returns:
         The walker, and the first observation [24].
     """
-    walker, first = step(made(key, hardcore), jnp.zeros(ACTION_SIZE, jnp.float32))
+    walker, first = step(new_walker(key, hardcore), jnp.zeros(ACTION_SIZE, jnp.float32))
     return walker, first.observation
 
 
-def made(key: jax.Array, hardcore: bool = False) -> Walker:
-    """A walker as gymnasium's reset makes it, before the step without motors that ends the reset.
+def new_walker(key: jax.Array, hardcore: bool = False) -> Walker:
+    """A walker on new terrain, before the step without motors that ends gymnasium's `reset`.
 
     Args:
         key: consumed.
         hardcore: static; see `reset`.
 
     Returns:
-        The walker; `step` it with an action of zeros.
+        The walker; `step` with an action of zeros gives the first observation.
     """
     ground_key, push_key = jax.random.split(key)
     most = bipedal.INITIAL_RANDOM
     push = jax.random.uniform(push_key, (), jnp.float32, -most, most)
-    return made_on(terrain.drawn(ground_key, hardcore), push)
+    return new_walker_on(terrain.draw(ground_key, hardcore), push)
 
 
-def made_on(ground: Terrain, push: jax.Array) -> Walker:
-    """A walker on given terrain; see `made`.
+def new_walker_on(ground: Terrain, push: jax.Array) -> Walker:
+    """A walker on given terrain; see `new_walker`.
 
     Args:
         ground: the terrain.
-        push: that the hull gets in the first step [N].
+        push: horizontal force on the hull in the first step [N].
 
     Returns:
         The walker.
@@ -100,13 +102,13 @@ def made_on(ground: Terrain, push: jax.Array) -> Walker:
 
 
 def _bodies(push: jax.Array) -> World:
-    """The bodies as gymnasium makes them; its hinges pull them together in the first steps."""
+    """The bodies where gymnasium makes them; the joints pull them together in the first steps."""
     x, y = bipedal.START_X, bipedal.START_Y
     thigh = y - bipedal.LEG_H / 2 - bipedal.LEG_DOWN
     shin = y - bipedal.LEG_H * 3 / 2 - bipedal.LEG_DOWN
     hull = np.array([x, y]) + constants.HULL_CENTRE
     zero = jnp.zeros(5, jnp.float32)
-    hinge = jnp.zeros(4, jnp.float32)
+    joint = jnp.zeros(4, jnp.float32)
     pushed = push * np.float32(constants.SECONDS * constants.INVERSE_MASS[0])
     return World(
         place=Vec(
@@ -116,9 +118,9 @@ def _bodies(push: jax.Array) -> World:
         angle=jnp.asarray([0.0, *constants.START_TILTS], jnp.float32),
         velocity=Vec(zero.at[0].set(pushed), zero),
         spin=zero,
-        impulses=Impulses(Vec(hinge, hinge), hinge, hinge),
-        contacts=jax.tree.map(lambda leaf: leaf[..., 0], manifolds.no_contacts(1)),
-        feet=jnp.zeros(4, bool),
+        impulses=JointImpulses(Vec(joint, joint), joint, joint),
+        contacts=jax.tree.map(lambda leaf: leaf[..., 0], no_contacts(1)),
+        ground_contact=jnp.zeros(4, bool),
         fallen=jnp.zeros((), bool),
     )
 
@@ -126,7 +128,7 @@ def _bodies(push: jax.Array) -> World:
 def _advance(
     before: World, action: jax.Array, terrain: Terrain
 ) -> tuple[World, jax.Array, jax.Array]:
-    """The world after a step, the observation and the place of the hull; last axis is the batch."""
+    """State after a step, observation [24, B] and the hull's x [B] [m]; the batch is last."""
     speed = jnp.asarray(constants.SPEEDS[:, None], jnp.float32) * jnp.sign(action)
     torque = constants.TORQUE * jnp.clip(jnp.abs(action), 0, 1)
     after = world.step(before, speed, torque, terrain)
@@ -135,21 +137,21 @@ def _advance(
 
 
 def observe(now: World, terrain: Terrain) -> tuple[jax.Array, jax.Array]:
-    """What a walker sees; the last axis is the batch.
+    """The observation of walkers; the last axis is the batch.
 
     Args:
-        now: the world.
-        terrain: the ground, leaves [200, B].
+        now: their state.
+        terrain: the ground, leaves [TERRAIN_LENGTH, B].
 
     Returns:
-        Observations [24, B], and how far the hull has come [B] [m].
+        Observations [24, B], and the hulls' x [B] [m].
     """
     angle, spin = now.angle[0], now.spin[0]
     body = pose(Vec(now.place.x[0], now.place.y[0]), angle)
-    origin = body.put(vec(-constants.HULL_CENTRE))
+    origin = body.world_point(vec(-constants.HULL_CENTRE))
     fps, scale = bipedal.FPS, bipedal.SCALE
     bend, speed = joints.angles(now.angle), joints.speeds(now.spin)
-    feet = now.feet.astype(jnp.float32)
+    ground_contact = now.ground_contact.astype(jnp.float32)
     legs = [
         row
         for leg in range(2)
@@ -158,31 +160,31 @@ def observe(now: World, terrain: Terrain) -> tuple[jax.Array, jax.Array]:
             speed[2 * leg] / bipedal.SPEED_HIP,
             bend[2 * leg + 1] + 1.0,
             speed[2 * leg + 1] / bipedal.SPEED_KNEE,
-            feet[2 * leg + 1],
+            ground_contact[2 * leg + 1],
         )
     ]
-    seen = [
+    rows = [
         angle,
         2.0 * spin / fps,
         0.3 * now.velocity.x[0] * (bipedal.VIEWPORT_W / scale) / fps,
         0.3 * now.velocity.y[0] * (bipedal.VIEWPORT_H / scale) / fps,
         *legs,
     ]
-    return jnp.concatenate([jnp.stack(seen), ground.lidar(terrain, origin)]), origin.x
+    return jnp.concatenate([jnp.stack(rows), ground.lidar(terrain, origin)]), origin.x
 
 
-_advance_one = of_one(_advance)
+_advance_one = single_from_batch(_advance)
 
 
 def step(walker: Walker, action: jax.Array) -> tuple[Walker, Step]:
     """One step of 0.02 s.
 
     Args:
-        walker: before it.
-        action: of hip and knee, hip and knee [4]; beyond [-1, 1] it is clipped.
+        walker: state before the step.
+        action: torques of hip and knee of one leg, of the other, clipped to [-1, 1], float32 [4].
 
     Returns:
-        The walker after it, and what came of it. After the end of an episode it means nothing.
+        State after the step, and its results. They mean nothing after the end of an episode.
     """
     action = jnp.asarray(action, jnp.float32)
     after, observation, place = _advance_one(walker.world, action, walker.terrain)
@@ -192,5 +194,5 @@ def step(walker: Walker, action: jax.Array) -> tuple[Walker, Step]:
     reward = jnp.where(fallen, -100.0, shaping - walker.shaping - effort)
     steps = walker.steps + 1
     most = MOST_STEPS if walker.terrain.boxes is None else MOST_HARDCORE_STEPS
-    made = Step(observation, reward, fallen | (place > constants.GOAL), steps >= most)
-    return Walker(after, walker.terrain, shaping, steps), made
+    results = Step(observation, reward, fallen | (place > constants.GOAL), steps >= most)
+    return Walker(after, walker.terrain, shaping, steps), results

@@ -1,4 +1,4 @@
-"""Vectors and turns of the plane; components are arrays of any one shape."""
+"""Vectors, poses and velocities in the plane; components are arrays of one shape."""
 
 import dataclasses
 from typing import Any
@@ -17,7 +17,7 @@ class Vec:
     y: jax.Array
 
     def __getitem__(self, place: Any) -> "Vec":
-        """Some of several vectors, as of an array."""
+        """The vectors at some indices, as of an array."""
         return Vec(self.x[place], self.y[place])
 
     def __add__(self, other: "Vec") -> "Vec":
@@ -33,29 +33,29 @@ class Vec:
         return Vec(-self.x, -self.y)
 
     def __mul__(self, factor: jax.Array | float) -> "Vec":
-        """The vector, longer."""
+        """The vector times a number."""
         return Vec(self.x * factor, self.y * factor)
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Pose:
-    """Where a body is: its centre of mass, and cosine and sine of its angle."""
+    """A body's pose: its centre of mass [m], and cosine and sine of its angle."""
 
     place: Vec
     cos: jax.Array
     sin: jax.Array
 
-    def turned(self, local: Vec) -> Vec:
-        """A direction of the body, in the world."""
+    def world_vector(self, local: Vec) -> Vec:
+        """A vector of the body's frame, in the world."""
         return Vec(self.cos * local.x - self.sin * local.y, self.sin * local.x + self.cos * local.y)
 
-    def put(self, local: Vec) -> Vec:
-        """A point of the body, in the world."""
-        return self.turned(local) + self.place
+    def world_point(self, local: Vec) -> Vec:
+        """A point of the body's frame, in the world."""
+        return self.world_vector(local) + self.place
 
-    def took(self, point: Vec) -> Vec:
-        """A point of the world, in the body."""
+    def local_point(self, point: Vec) -> Vec:
+        """A point of the world, in the body's frame."""
         away = point - self.place
         return Vec(self.cos * away.x + self.sin * away.y, self.cos * away.y - self.sin * away.x)
 
@@ -67,7 +67,7 @@ class Speeds:
 
     Attributes:
         velocity: of the centre of mass [m/s].
-        spin: [rad/s].
+        spin: angular velocity [rad/s].
     """
 
     velocity: Vec
@@ -80,14 +80,14 @@ def pose(place: Vec, angle: jax.Array) -> Pose:
 
 
 def vec(values: np.ndarray, trailing: int = 0) -> Vec:
-    """A constant vector, or several.
+    """Constant vectors from an array.
 
     Args:
         values: components on the last axis.
-        trailing: axes of length 1 that the components get at their end.
+        trailing: number of axes of length 1 that are added at the end.
 
     Returns:
-        The vector, float32.
+        The vectors, float32.
     """
     shape = (*values.shape[:-1], *[1] * trailing)
     x, y = (jnp.asarray(values[..., axis], jnp.float32).reshape(shape) for axis in range(2))
@@ -105,7 +105,7 @@ def cross(a: Vec, b: Vec) -> jax.Array:
 
 
 def tangent(normal: Vec) -> Vec:
-    """A normal turned by a quarter, clockwise."""
+    """A normal turned clockwise by a quarter."""
     return Vec(normal.y, -normal.x)
 
 

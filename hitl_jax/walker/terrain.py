@@ -1,4 +1,4 @@
-"""Terrain, drawn by key as gymnasium draws it (from other random numbers)."""
+"""Terrain in JAX: drawn by gymnasium's rules, from the random numbers of a JAX key."""
 
 import dataclasses
 
@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax.walker import bipedal, constants
-from hitl_jax.walker.batching.batch_last_vmap import of_one
+from hitl_jax.walker.batching.batch_last_vmap import single_from_batch
 from hitl_jax.walker.geometry import Vec
 from hitl_jax.walker.gpu.kernel import as_kernel
 from hitl_jax.walker.physics.boxes import Boxes
@@ -15,17 +15,17 @@ from hitl_jax.walker.physics.boxes import Boxes
 _STEP = np.float32(constants.TERRAIN_STEP)
 _GRASS, _STUMP, _STAIRS, _PIT = range(4)
 _STAIR_WIDTH, _PIT_DEPTH = 4, 4
-"""In stretches of the ground between two corners."""
+"""In edges of the ground (`TERRAIN_STEP`)."""
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Terrain:
-    """The ground under one walker; within a step, the batch is a last axis.
+    """The ground of one walker; within a step the batch is one more, last axis.
 
     Attributes:
-        heights: of its corners [TERRAIN_LENGTH] [m].
-        boxes: what stands over the stretch from each corner to the next [TERRAIN_LENGTH]; None on
+        heights: of the ground's corners [TERRAIN_LENGTH] [m].
+        boxes: the obstacle over the edge from each corner to the next [TERRAIN_LENGTH]; None on
             plain terrain.
     """
 
@@ -33,8 +33,8 @@ class Terrain:
     boxes: Boxes | None = None
 
 
-def drawn(key: jax.Array, hardcore: bool = False) -> Terrain:
-    """Terrain for an episode.
+def draw(key: jax.Array, hardcore: bool = False) -> Terrain:
+    """Draws the terrain of an episode.
 
     Args:
         key: consumed.
@@ -43,13 +43,14 @@ def drawn(key: jax.Array, hardcore: bool = False) -> Terrain:
     Returns:
         The terrain.
     """
-    return rough(key) if hardcore else Terrain(grass(key))
+    return draw_hardcore(key) if hardcore else Terrain(draw_plain(key))
 
 
-def grass(key: jax.Array) -> jax.Array:
-    """Plain terrain, drawn as gymnasium draws it (from other random numbers).
+def draw_plain(key: jax.Array) -> jax.Array:
+    """Draws plain terrain by gymnasium's rules.
 
-    A flat start, then stretches of 5 to 9 corners, the first of which repeats the height before.
+    A flat start, then stretches of 5 to 9 corners; the first corner of each repeats the height
+    before.
 
     Args:
         key: consumed.
@@ -60,13 +61,13 @@ def grass(key: jax.Array) -> jax.Array:
     push_key, stretch_key = jax.random.split(key)
     shape = (constants.TERRAIN_LENGTH,)
     pushes = _uniform(push_key, shape) / np.float32(bipedal.SCALE)
-    stretches = _whole(stretch_key, shape, bipedal.TERRAIN_GRASS // 2, bipedal.TERRAIN_GRASS)
-    heights: jax.Array = _profile_of_one(pushes, stretches)
+    stretches = _integers(stretch_key, shape, bipedal.TERRAIN_GRASS // 2, bipedal.TERRAIN_GRASS)
+    heights: jax.Array = _single_profile(pushes, stretches)
     return heights
 
 
 def _profile(pushes: jax.Array, stretches: jax.Array) -> jax.Array:
-    """Heights of the corners; arrays are [TERRAIN_LENGTH, B]."""
+    """Heights of the corners [m] from pushes and stretches; arrays are [TERRAIN_LENGTH, B]."""
     start = bipedal.TERRAIN_HEIGHT
 
     def corner(carry: tuple, drawn: tuple) -> tuple:
@@ -88,13 +89,13 @@ def _profile(pushes: jax.Array, stretches: jax.Array) -> jax.Array:
     return heights
 
 
-_profile_of_one = of_one(lambda *given: as_kernel(_profile)(*given))
+_single_profile = single_from_batch(lambda *given: as_kernel(_profile)(*given))
 
 
-def rough(key: jax.Array) -> Terrain:
-    """Hardcore terrain, drawn as gymnasium draws it (from other random numbers).
+def draw_hardcore(key: jax.Array) -> Terrain:
+    """Draws hardcore terrain by gymnasium's rules.
 
-    Plain stretches, and between every two of them a stump, stairs or a pit.
+    Plain stretches alternate with a stump, stairs or a pit.
 
     Args:
         key: consumed.
@@ -104,12 +105,12 @@ def rough(key: jax.Array) -> Terrain:
     """
     keys = jax.random.split(key, 6)
     shape = (constants.TERRAIN_LENGTH,)
-    return planned(
+    return hardcore_from_draws(
         _uniform(keys[0], shape) / np.float32(bipedal.SCALE),
-        _whole(keys[1], shape, bipedal.TERRAIN_GRASS // 2, bipedal.TERRAIN_GRASS),
-        _whole(keys[2], shape, _STUMP, _PIT + 1),
-        _whole(keys[3], shape, 1, 3),
-        _whole(keys[4], shape, 3, 5),
+        _integers(keys[1], shape, bipedal.TERRAIN_GRASS // 2, bipedal.TERRAIN_GRASS),
+        _integers(keys[2], shape, _STUMP, _PIT + 1),
+        _integers(keys[3], shape, 1, 3),
+        _integers(keys[4], shape, 3, 5),
         jax.random.bernoulli(keys[5], np.float32(0.5), shape),
     )
 
@@ -119,12 +120,12 @@ def _uniform(key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
     return jax.random.uniform(key, shape, jnp.float32, -1.0, 1.0)
 
 
-def _whole(key: jax.Array, shape: tuple[int, ...], low: int, high: int) -> jax.Array:
-    """Whole numbers in [low, high), int32; the key is consumed."""
+def _integers(key: jax.Array, shape: tuple[int, ...], low: int, high: int) -> jax.Array:
+    """Integers in [low, high), int32; the key is consumed."""
     return jax.random.randint(key, shape, low, high, jnp.int32)
 
 
-def planned(
+def hardcore_from_draws(
     pushes: jax.Array,
     stretches: jax.Array,
     kinds: jax.Array,
@@ -132,33 +133,33 @@ def planned(
     others: jax.Array,
     rises: jax.Array,
 ) -> Terrain:
-    """Hardcore terrain from what is drawn for each corner, all [TERRAIN_LENGTH].
+    """Hardcore terrain from the numbers drawn for each corner, all [TERRAIN_LENGTH].
 
     Args:
-        pushes: of the ground's slope.
+        pushes: changes of the slope [m].
         stretches: lengths of plain stretches, int32.
         kinds: of obstacles: 1 is a stump, 2 stairs, 3 a pit, int32.
-        stumps: their sizes, int32.
+        stumps: sizes of stumps, int32.
         others: numbers of stairs, and widths of pits, int32.
-        rises: whether stairs go up.
+        rises: whether stairs go up, bool.
 
     Returns:
-        The terrain; an obstacle is made of the numbers of its first corner.
+        The terrain; an obstacle uses the numbers of its first corner.
     """
-    return Terrain(*_plan_of_one(pushes, stretches, kinds, stumps, others, rises))
+    return Terrain(*_single_layout(pushes, stretches, kinds, stumps, others, rises))
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class _Spot:
-    """A corner of hardcore ground, and what is built there.
+class _Corner:
+    """What is built at a corner of hardcore ground.
 
     Attributes:
-        kind: of what begins here or goes on.
-        made: how many corners of it are behind.
+        kind: plain ground or an obstacle: `_GRASS`, `_STUMP`, `_STAIRS` or `_PIT`.
+        made: number of the obstacle's corners before this one.
         size: of a stump, number of stairs, or width of a pit.
         base: height of the ground before it [m].
-        up: 1 or -1, where stairs lead.
+        up: 1 where stairs go up, -1 where they go down.
     """
 
     kind: jax.Array
@@ -170,72 +171,72 @@ class _Spot:
     def choose(
         self, stump: jax.Array | int, stairs: jax.Array | int, pit: jax.Array | int
     ) -> jax.Array:
-        """By its kind."""
+        """One of three numbers, by the obstacle's kind."""
         other = jnp.where(self.kind == _STAIRS, stairs, pit)
         return jnp.where(self.kind == _STUMP, stump, other)
 
 
-def _plan(*drawn: jax.Array) -> tuple[jax.Array, Boxes]:
-    """Heights and boxes from what `planned` takes; arrays are [TERRAIN_LENGTH, B]."""
-    heights, spots = as_kernel(_spots)(*drawn)
-    return heights, _built(spots)
+def _layout(*drawn: jax.Array) -> tuple[jax.Array, Boxes]:
+    """Heights [m] and boxes from the arguments of `hardcore_from_draws`; [TERRAIN_LENGTH, B]."""
+    heights, corners = as_kernel(_corners)(*drawn)
+    return heights, _boxes_of(corners)
 
 
-def _spots(pushes: jax.Array, *drawn: jax.Array) -> tuple[jax.Array, _Spot]:
-    """Heights and what is built, corner after corner; see `_plan`."""
+def _corners(pushes: jax.Array, *drawn: jax.Array) -> tuple[jax.Array, _Corner]:
+    """Heights [m] and obstacles, corner after corner; see `_layout`."""
 
     def corner(carry: tuple, given: tuple) -> tuple:
-        height, velocity, left, begins, spot = carry
+        height, velocity, left, begins, here = carry
         index, push, stretch, next_kind, stump, other, rises = given
 
-        size, up = spot.choose(stump, other, other), jnp.where(rises, 1, -1)
-        fresh = _Spot(spot.kind, left, size, height, up)
-        spot = jax.tree.map(lambda new, old: jnp.where(begins, new, old), fresh, spot)
-        length = spot.choose(spot.size, spot.size * _STAIR_WIDTH, spot.size + 2)
-        left = jnp.where(begins & (spot.kind != _GRASS), length, left)
-        spot = dataclasses.replace(spot, made=length - left)
+        size, up = here.choose(stump, other, other), jnp.where(rises, 1, -1)
+        fresh = _Corner(here.kind, left, size, height, up)
+        here = jax.tree.map(lambda new, old: jnp.where(begins, new, old), fresh, here)
+        length = here.choose(here.size, here.size * _STAIR_WIDTH, here.size + 2)
+        left = jnp.where(begins & (here.kind != _GRASS), length, left)
+        here = dataclasses.replace(here, made=length - left)
 
         faster = 0.8 * velocity + 0.01 * jnp.sign(bipedal.TERRAIN_HEIGHT - height)
         faster += jnp.where(index > bipedal.TERRAIN_STARTPAD, push, 0.0)
-        grows = (spot.kind == _GRASS) & ~begins
+        grows = (here.kind == _GRASS) & ~begins
         velocity = jnp.where(grows, faster, velocity)
-        share = (spot.made - spot.up).astype(jnp.float32) / _STAIR_WIDTH
-        stair = spot.base + share * spot.up * _STEP
-        bottom = spot.base - jnp.where(left > 1, _PIT_DEPTH * _STEP, 0.0)
-        built = jnp.where(begins, height, spot.choose(height, stair, bottom))
+        share = (here.made - here.up).astype(jnp.float32) / _STAIR_WIDTH
+        stair = here.base + share * here.up * _STEP
+        bottom = here.base - jnp.where(left > 1, _PIT_DEPTH * _STEP, 0.0)
+        built = jnp.where(begins, height, here.choose(height, stair, bottom))
         height = jnp.where(grows, height + faster, built)
 
         begins = left == 1
-        kind = jnp.where(begins, jnp.where(spot.kind == _GRASS, next_kind, _GRASS), spot.kind)
+        kind = jnp.where(begins, jnp.where(here.kind == _GRASS, next_kind, _GRASS), here.kind)
         left = jnp.where(begins, stretch, left - 1)
-        following = dataclasses.replace(spot, kind=kind)
-        return (height, velocity, left, begins, following), (height, spot)
+        following = dataclasses.replace(here, kind=kind)
+        return (height, velocity, left, begins, following), (height, here)
 
     level = jnp.full_like(pushes[0], bipedal.TERRAIN_HEIGHT)
     none = jnp.zeros(pushes.shape[1:], jnp.int32)
-    start = _Spot(none + _GRASS, none, none, level, none + 1)
+    start = _Corner(none + _GRASS, none, none, level, none + 1)
     pad = none + bipedal.TERRAIN_STARTPAD
     carry = level, jnp.zeros_like(level), pad, jnp.zeros_like(none, bool), start
     index = jnp.arange(constants.TERRAIN_LENGTH, dtype=jnp.int32)
-    passed: tuple[jax.Array, _Spot] = jax.lax.scan(corner, carry, (index, pushes, *drawn))[1]
+    passed: tuple[jax.Array, _Corner] = jax.lax.scan(corner, carry, (index, pushes, *drawn))[1]
     return passed
 
 
-def _built(spot: _Spot) -> Boxes:
-    """The box over the stretch behind each corner; arrays are [TERRAIN_LENGTH, B]."""
+def _boxes_of(here: _Corner) -> Boxes:
+    """The box over the edge that begins at each corner; arrays are [TERRAIN_LENGTH, B]."""
     index = jnp.arange(constants.TERRAIN_LENGTH, dtype=jnp.int32)[:, None]
-    tread = spot.made // _STAIR_WIDTH
-    begin = index - spot.choose(spot.made, spot.made % _STAIR_WIDTH, 0)
-    end = begin + spot.choose(spot.size, _STAIR_WIDTH, 1)
-    top = spot.base + spot.choose(spot.size, tread * spot.up, 0) * _STEP
-    bottom = top - spot.choose(spot.size, 1, _PIT_DEPTH) * _STEP
-    wall = (spot.made == 0) | (spot.made == spot.size)
-    there = (spot.kind != _GRASS) & ((spot.kind != _PIT) | wall)
+    tread = here.made // _STAIR_WIDTH
+    begin = index - here.choose(here.made, here.made % _STAIR_WIDTH, 0)
+    end = begin + here.choose(here.size, _STAIR_WIDTH, 1)
+    top = here.base + here.choose(here.size, tread * here.up, 0) * _STEP
+    bottom = top - here.choose(here.size, 1, _PIT_DEPTH) * _STEP
+    wall = (here.made == 0) | (here.made == here.size)
+    there = (here.kind != _GRASS) & ((here.kind != _PIT) | wall)
     # The last boxes may go on behind the ground.
     places = np.arange(constants.TERRAIN_LENGTH + 2 * _STAIR_WIDTH) * constants.TERRAIN_STEP
     place = jnp.asarray(places, jnp.float32)
     low, high = Vec(place[begin], bottom), Vec(place[end], top)
-    return Boxes(*(Vec(*(jnp.where(there, v, 0.0) for v in (at.x, at.y))) for at in (low, high)))
+    return Boxes(*(Vec(*(jnp.where(there, v, 0.0) for v in (end.x, end.y))) for end in (low, high)))
 
 
-_plan_of_one = of_one(_plan)
+_single_layout = single_from_batch(_layout)

@@ -1,1 +1,1 @@
-"""What we do to please a compiler, and nothing that changes a result."""
+"""Helps XLA compile our programs well: CPU products, fusion barriers, devices, a flag, keys."""

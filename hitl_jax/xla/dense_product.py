@@ -1,12 +1,12 @@
-"""The product of a dense layer, with its gradient in the forms for which XLA has fast CPU kernels.
+"""The product of a dense layer, with a gradient in forms for which XLA has fast CPU kernels.
 
-Its operands can be rounded to bfloat16, which some processors multiply faster; sums, and everything
+The learner's networks use it. Of a layer's three products only the gradient of its kernel, xᵀ g,
+sums over an axis that is not the last of its left operand. XLA computes such a product with a
+slower kernel, and where g is narrow with a loop that is several times slower.
+
+Operands can be rounded to bfloat16, which some processors multiply faster; sums, and everything
 else, stay float32. (JAX's own setting, `jax_default_matmul_precision`, changes nothing on a CPU:
 with "bfloat16" and "BF16_BF16_F32" JAX 0.10.2 compiles the same product of float32.)
-
-Of the three products of a layer only the gradient of its kernel, xᵀ g, sums over an axis that is
-not the last of its left operand. XLA has such a product done by a slower kernel, and where g is
-narrow by a loop that is several times slower.
 """
 
 import functools
@@ -15,22 +15,22 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from hitl_jax.xla.fusion_barrier import border
+from hitl_jax.xla.fusion_barrier import fusion_barrier
 
 MATMUL_PRECISIONS = ("float32", "bfloat16")
 
 _NARROW = 32
-"""With fewer outputs than this gᵀ x, transposed, is faster; with more, xᵀ g with x transposed
-before."""
+"""With fewer outputs than this the transpose of gᵀ x is faster; with more, xᵀ g with x transposed
+first."""
 
 _MANY_ROWS = 128
-"""From so many on, transposing x costs less than it saves: 8 % at 128 and 256 outputs, nothing at
-64 rows."""
+"""With at least so many rows transposing x costs less than it saves: it saves 8 % with 128 and 256
+outputs, nothing with 64 rows."""
 
 _LEAST = 32
 _LEAST_OUTPUTS = 4
-"""Rows and inputs, and outputs, from which on a form of our own is taken. XLA makes loops of very
-small products; where a stack of their results is transposed, JAX 0.10.2 aborts in them
+"""Least rows and inputs, and least outputs, for which one of our forms is used. XLA compiles very
+small products to loops, and JAX 0.10.2 aborts where a stack of their results is transposed
 (`dot_op_emitter.cc`, "Check failed: ... IsMonotonicWithDim0Major")."""
 
 
@@ -41,8 +41,8 @@ def product(x: chex.Array, kernel: chex.Array, matmul_precision: str = "float32"
     Args:
         x: inputs, [..., B, I], float32.
         kernel: weights, [..., I, O], float32.
-        matmul_precision: static, one of `MATMUL_PRECISIONS`: to what the operands of this product
-            and of its gradient's are rounded.
+        matmul_precision: static, one of `MATMUL_PRECISIONS`: the type to which the operands of this
+            product, and of its gradient's products, are rounded.
 
     Returns:
         Outputs, [..., B, O].
@@ -86,8 +86,8 @@ def _of_kernel(x: chex.Array, gradient: chex.Array) -> chex.Array:
 def _of_kernel_on_cpu(x: chex.Array, gradient: chex.Array) -> chex.Array:
     """The same in the form that is fastest for its shape.
 
-    The barriers are for XLA's simplifier, which would make xᵀ g of either form again; the border is
-    for its fusion, which would compute x, a layer's nonlinearity, once more in the transposed copy.
+    The optimization barriers keep XLA's simplifier from turning either form into xᵀ g again. The
+    fusion barrier keeps it from computing x, a layer's nonlinearity, again in the transposed copy.
     """
     rows, inputs = x.shape[-2:]
     outputs = gradient.shape[-1]
@@ -95,6 +95,6 @@ def _of_kernel_on_cpu(x: chex.Array, gradient: chex.Array) -> chex.Array:
         transposed = _einsum("...bo,...bi->...oi", gradient, x)
         return jnp.swapaxes(jax.lax.optimization_barrier(transposed), -1, -2)
     if rows >= _MANY_ROWS and min(inputs, outputs) >= _LEAST:
-        transposed = jax.lax.optimization_barrier(jnp.swapaxes(border(x), -1, -2))
+        transposed = jax.lax.optimization_barrier(jnp.swapaxes(fusion_barrier(x), -1, -2))
         return _einsum("...ib,...bo->...io", transposed, gradient)
     return _of_kernel(x, gradient)

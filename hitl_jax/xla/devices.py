@@ -1,4 +1,7 @@
-"""The devices that learn, how many runs each learns together, and the one that acts."""
+"""The JAX devices of learner, walkers and acting, and how many runs a device learns at once.
+
+Each CPU device here is an XLA client of its own, with one thread; see `cpu_device`.
+"""
 
 import functools
 import os
@@ -16,10 +19,10 @@ _LEARNER_NICE = 10
 
 @functools.cache
 def learning_devices() -> tuple[jax.Device, ...]:
-    """JAX's accelerators where it has any, else one CPU device a core.
+    """The devices that learn: JAX's accelerators if it has any, else one CPU device per core.
 
-    Small matrix products do not split over cores; whole runs do. JAX_NUM_CPU_DEVICES goes before
-    the number of cores.
+    Small matrix products do not split over cores; whole runs do. JAX_NUM_CPU_DEVICES, if set,
+    replaces the number of cores.
     """
     if jax.default_backend() != "cpu":
         return tuple(jax.local_devices())
@@ -32,10 +35,10 @@ def walker_devices(count: int) -> tuple[jax.Device, ...]:
     """The devices on which `--backend jax` steps walkers.
 
     Args:
-        count: how many are wanted, if they are CPU devices.
+        count: number of CPU devices.
 
     Returns:
-        JAX's accelerators where it has any, else as many CPU devices.
+        JAX's accelerators if it has any, else `count` CPU devices.
     """
     if jax.default_backend() != "cpu":
         return tuple(jax.local_devices())
@@ -43,45 +46,44 @@ def walker_devices(count: int) -> tuple[jax.Device, ...]:
 
 
 def default_tile(slots: int) -> int:
-    """Runs learned together on one device.
+    """The default number of runs that one device learns at once.
 
-    On a CPU one: XLA's sums are faster without an axis of runs, and the megabyte of one run's
-    parameters, targets and moments stays nearer to the core than that of several. On an accelerator
-    all that it has.
+    One on a CPU: XLA's sums are faster without an axis of runs, and one run's parameters, targets
+    and moments (about a megabyte) fit into the core's cache. All its runs on an accelerator.
 
     Args:
-        slots: of all devices together.
+        slots: number of runs of all devices together.
     """
     return 1 if jax.default_backend() == "cpu" else slots // len(learning_devices())
 
 
 def acting_device() -> jax.Device:
-    """A CPU device to itself, or acting would queue behind the learner.
+    """The CPU device that acts; on a learner's device acting would wait for the learner.
 
-    Its programs run on the thread that calls them, which has nothing else to do: to hand one over
-    to another thread and to be woken takes as long as to act.
+    Its programs run on the thread that calls them, which has nothing else to do: handing a program
+    to another thread and being woken takes as long as acting.
     """
     return cpu_device(_ACTING, own_thread=False)
 
 
 @functools.cache
 def cpu_device(name: str, nice: int = 0, own_thread: bool = True) -> jax.Device:
-    """A CPU device whose programs run on a thread of its own, or on the one that calls them.
+    """A CPU device whose programs run on one thread: its own, or the one that calls them.
 
-    The devices of one XLA client share its threads, which pass pieces of a program from core to
-    core and from cache to cache: the learner of 30 runs takes 1.3 to 1.4 times as long. So each
-    device here is the only one of a client, with one thread.
+    The devices of one XLA client share its threads, which move pieces of a program from core to
+    core and from cache to cache: 30 runs then learn 1.3 to 1.4 times as slowly. So each device here
+    is the only one of its client, which has one thread.
 
-    The name that makes a client is not public in JAX. A JAX without it gives its own CPU device,
-    whatever the name, and a warning: slower, and rounded otherwise.
+    The function that makes a client is not public in JAX. If this JAX does not have it, JAX's own
+    CPU device is returned for every name, with a warning: it is slower, and rounds differently.
 
-    Where threads can have priorities (Linux), those of the learner let others go first: acting and
-    walkers are waited for at every tick, the learner has a chunk or two in hand.
+    On Linux threads have priorities: the learner's are lower, since every tick waits for acting and
+    walkers, while the learner is a chunk or two behind anyway.
 
     Args:
         name: any; the same name gives the same device.
-        nice: by how much its threads go last, on Linux.
-        own_thread: whether programs run on its own.
+        nice: added to the niceness of the device's thread, on Linux.
+        own_thread: whether programs run on the device's own thread.
     """
     nice = nice if sys.platform == "linux" else 0
     # A client's threads inherit from the one that starts it.
@@ -91,9 +93,9 @@ def cpu_device(name: str, nice: int = 0, own_thread: bool = True) -> jax.Device:
 
 def _start(nice: int, own_thread: bool) -> jax.Device:
     if nice:
-        os.nice(nice)  # Of this thread alone, on Linux, and added to what the process has.
+        os.nice(nice)  # On Linux of this thread alone; it is added to the process's niceness.
     before = os.environ.get("NPROC")
-    os.environ["NPROC"] = "1"  # where XLA's CPU client looks up how many threads to start
+    os.environ["NPROC"] = "1"  # From this XLA's CPU client reads how many threads to start.
     try:
         from jaxlib.xla_client import make_cpu_client
 

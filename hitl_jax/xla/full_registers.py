@@ -1,7 +1,7 @@
-"""Rows of a batch, filled up to whole vector registers.
+"""Fills batches up to whole vector registers, so that results do not depend on the batch's size.
 
-Where a register is not full, XLA's code for a CPU rounds otherwise, and the numbers of a run or an
-episode would tell how many there were beside it.
+The batches of runs and of walkers use it. XLA's CPU code rounds differently in a register that is
+not full, so that a run's numbers would depend on how many runs are beside it.
 """
 
 import math
@@ -13,10 +13,18 @@ _LANES = 16
 
 
 def full(count: int) -> int:
-    """The least number of rows, not below `count`, that fills all registers."""
+    """The smallest number of rows that is at least `count` and fills all registers."""
     return math.ceil(count / _LANES) * _LANES
 
 
 def filled(rows: np.ndarray, count: int) -> np.ndarray:
-    """The rows, [R, ...], and zeros behind them, [`count`, ...]."""
+    """Rows with zeros appended.
+
+    Args:
+        rows: [R, ...].
+        count: number of rows of the result, at least R.
+
+    Returns:
+        [`count`, ...].
+    """
     return np.concatenate([rows, np.zeros((count - len(rows), *rows.shape[1:]), rows.dtype)])

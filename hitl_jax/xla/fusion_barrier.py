@@ -1,4 +1,8 @@
-"""A border that fusion on a CPU does not cross."""
+"""Keeps XLA's CPU fusion from computing a value again: `fusion_barrier`.
+
+The dense layers and the walker's solver use it. XLA's fusion for CPUs computes a value again inside
+each kernel that uses it, and so on backwards through all that the value depends on.
+"""
 
 from typing import TypeVar
 
@@ -9,22 +13,21 @@ Tree = TypeVar("Tree")
 
 
 @jax.jit
-def _same(values: Tree) -> Tree:
+def _identity(values: Tree) -> Tree:
     return values
 
 
-def border(values: Tree) -> Tree:
-    """Has values computed and kept, whatever is computed from them.
+def fusion_barrier(values: Tree) -> Tree:
+    """Has values computed once and stored, whatever uses them.
 
-    XLA's fusion for CPUs computes a value again inside each kernel that uses it, and so on
-    backwards. `optimization_barrier` does not help: it is gone before fusion. A call that may not
-    be inlined stays.
+    `jax.lax.optimization_barrier` does not do it: XLA removes it before fusion. XLA keeps a call
+    that may not be inlined.
 
     Args:
-        values: arrays.
+        values: a pytree of arrays.
 
     Returns:
-        The same.
+        The values, unchanged.
     """
     with set_xla_metadata(inlineable="false"):
-        return _same(values)
+        return _identity(values)

@@ -1,8 +1,9 @@
-"""A pytree as one array of words.
+"""Packs a pytree into one array of 32-bit words, for compiled programs and snapshots of runs.
 
-Each array that a compiled program takes or gives costs the host's thread some microseconds, at
-every tick. Words are bit patterns: nothing is rounded. Small leaves stand before large ones, each
-in the order of the tree, so that the words are a few pieces that can be read and written apart.
+Each array that a compiled program takes or returns costs the host's thread some microseconds at
+every tick, so programs take one array. Words are bit patterns: nothing is rounded. Small leaves
+come before large ones, each in the tree's order: all small leaves are one piece of the array, and
+each large leaf is one, so that pieces can be read and written separately.
 """
 
 import math
@@ -16,38 +17,44 @@ import numpy as np
 from hitl_jax.xla.threefry import wrap_key
 
 _LARGE = 8192
-"""Words from which on a leaf is a piece by itself: 32 kB, beside which reading it is not noticed.
+"""A leaf of at least so many words is a piece by itself: with 32 kB the cost of a piece is small.
 
-The order of the words, and so what a save means, depends on it: `saves.FORMAT` goes with it."""
+The order of the words depends on it, so a change of it needs a new format of saved runs."""
 
 
 def pack(tree: chex.ArrayTree) -> chex.Array:
-    """All leaves, uint32 [P].
+    """Packs all leaves into one array.
 
     Args:
-        tree: leaves of 8, 16 or 32 bits an element, bool, or typed keys of `keys.make_key`.
+        tree: leaves of 8, 16 or 32 bits per element, bool, or typed keys of `threefry.make_key`.
+
+    Returns:
+        The words, uint32 [P].
 
     Raises:
-        ValueError: one line, for a leaf of another type.
+        ValueError: for a leaf of another type; one line.
     """
     return jnp.concatenate(to_pieces(tree))
 
 
 def unpack(like: chex.ArrayTree, words: chex.Array) -> chex.ArrayTree:
-    """What was packed.
+    """Unpacks what `pack` packed.
 
     Args:
-        like: a tree whose structure, shapes and types are taken over.
-        words: of `pack`, uint32 [P].
+        like: a tree with the structure, shapes and types of the packed one.
+        words: from `pack`, uint32 [P].
+
+    Returns:
+        The packed tree.
 
     Raises:
-        AssertionError: if there are more or fewer words than the tree has.
+        AssertionError: if the number of words is not the tree's.
     """
     return from_pieces(like, _split(words, piece_sizes(like)))
 
 
 def to_pieces(tree: chex.ArrayTree) -> list[chex.Array]:
-    """What `pack` joins, uint32 [..] each: all small leaves together, then each large one."""
+    """The pieces that `pack` joins, uint32 [words] each: all small leaves, then each large leaf."""
     words = [_to_words(leaf).ravel() for leaf in jax.tree.leaves(tree)]
     small = [leaf for leaf in words if leaf.size < _LARGE]
     large = [leaf for leaf in words if leaf.size >= _LARGE]
@@ -55,33 +62,34 @@ def to_pieces(tree: chex.ArrayTree) -> list[chex.Array]:
 
 
 def piece_sizes(like: chex.ArrayTree) -> list[int]:
-    """How many words each of the pieces of such a tree has."""
+    """The number of words of each piece of a tree like this."""
     return [piece.size for piece in jax.eval_shape(to_pieces, like)]
 
 
 def from_pieces(like: chex.ArrayTree, pieces: Sequence[chex.Array]) -> chex.ArrayTree:
-    """The tree of which `to_pieces` made the pieces; see `unpack`.
+    """Unpacks the pieces of `to_pieces`; see `unpack`.
 
     Raises:
-        AssertionError: if the pieces are not such a tree's.
+        AssertionError: if the sizes of the pieces are not the tree's.
     """
     chex.assert_equal([piece.size for piece in pieces], piece_sizes(like))
     leaves, structure = jax.tree.flatten(like)
     shapes = [jax.eval_shape(_to_words, leaf).shape for leaf in leaves]
     sizes = [math.prod(shape) for shape in shapes]
     small = [size for size in sizes if size < _LARGE]
-    few = iter(_split(pieces[0], small) if small else ())
+    small_words = iter(_split(pieces[0], small) if small else ())
     large = iter(pieces[1:] if small else pieces)
     return jax.tree.unflatten(
         structure,
         [
-            _from_words(leaf, next(few if size < _LARGE else large).reshape(shape))
+            _from_words(leaf, next(small_words if size < _LARGE else large).reshape(shape))
             for leaf, shape, size in zip(leaves, shapes, sizes, strict=True)
         ],
     )
 
 
 def _split(words: chex.Array, sizes: Sequence[int]) -> list[chex.Array]:
+    """Words cut into consecutive parts of given sizes."""
     chex.assert_shape(words, (sum(sizes),))
     parts, place = [], 0
     for size in sizes:
@@ -107,7 +115,7 @@ def _from_words(like: chex.Array, words: chex.Array) -> chex.Array:
 
 
 def _bits_of(leaf: chex.Array) -> np.dtype:
-    """The type that holds an element's bits; a word holds those of a narrower one, and zeros."""
+    """The unsigned type of an element's width; a word holds its bits, with zeros above them."""
     for bits in (jnp.uint8, jnp.uint16, jnp.uint32):
         if _num_bits(leaf.dtype) == jnp.iinfo(bits).bits:
             return jnp.dtype(bits)

@@ -1,7 +1,8 @@
-"""Keys of runs: JAX's Threefry, whatever generator the user's configuration makes the default.
+"""Makes keys of JAX's Threefry generator, whichever generator the user's configuration chooses.
 
-`jax_threefry_partitionable`, an option that JAX keeps for the numbers of old programs, still
-decides what is drawn: runs are those of its default, true.
+`jax.random.key` uses the generator of `jax_default_prng_impl`. Runs must draw the same numbers
+under any configuration, and a saved key is two words, which another generator cannot read.
+`jax_threefry_partitionable` still changes what is drawn: runs use its default, true.
 """
 
 import chex
@@ -12,7 +13,7 @@ _IMPLEMENTATION = "threefry2x32"
 
 
 def make_key(seed: chex.Numeric) -> chex.PRNGKey:
-    """A typed key, [].
+    """Makes a typed key, [].
 
     Args:
         seed: in [0, 2³²).
@@ -21,5 +22,5 @@ def make_key(seed: chex.Numeric) -> chex.PRNGKey:
 
 
 def wrap_key(words: chex.Array) -> chex.PRNGKey:
-    """The typed keys, [...], of which `jax.random.key_data` gives these words, uint32 [..., 2]."""
+    """The typed keys [...] whose `jax.random.key_data` are these words, uint32 [..., 2]."""
     return jax.random.wrap_key_data(words, impl=_IMPLEMENTATION)

@@ -9,7 +9,7 @@ from live_team import HYPER, play, setup_of, stored
 
 from hitl_jax import boundary
 from hitl_jax.envs import WalkerError
-from hitl_jax.envs.visible_walker import Plant
+from hitl_jax.envs.visible_walker import VisibleWalker
 from hitl_jax.live import messages, person
 from hitl_jax.live.labels import Label, judged, moved
 from hitl_jax.live.session import Session
@@ -291,7 +291,7 @@ def test_a_session_begins_with_networks_that_were_learned(silent):
     }
     tested = Session(setup_of(start=start, learns=False))
     # The first episode of the sweep's test.
-    first = Plant().reset(episode_seed("test", 0, 0))
+    first = VisibleWalker().reset(episode_seed("test", 0, 0))
     np.testing.assert_array_equal(tested.frame.observation, first)
     assert tested.frame.boundary == pytest.approx(float(tau))
     play(tested, 32)

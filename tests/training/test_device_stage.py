@@ -66,7 +66,7 @@ def test_device_and_host_play_the_same(together, monkeypatch):
 
 
 def test_blocks_do_not_matter(together, monkeypatch):
-    monkeypatch.setattr(jax_pool, "_MOST_LANES", 2)
+    monkeypatch.setattr(jax_pool, "MAX_LANES", 2)
     in_blocks, playing = _play(_specs(), 4)
     assert len(playing._pool.blocks) == 2
     for key, run in together.items():

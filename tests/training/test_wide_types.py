@@ -122,7 +122,7 @@ def test_no_program_with_a_walker_has_wide_numbers(wide):
         assert _wide_floats(walker.step, one, jnp.zeros(4, jnp.float32)) == []
         told = jax.eval_shape(walker.step, one, jnp.zeros(4))[1]
         assert told.observation.dtype == told.reward.dtype == jnp.float32
-    walkers = jax.eval_shape(lambda: jax_pool._made(jnp.zeros(16, jnp.uint32), False))
+    walkers = jax.eval_shape(lambda: jax_pool.new_walkers(jnp.zeros(16, jnp.uint32), False))
     some = jax.eval_shape(lambda: batch_arrays.empty_acting(agent, 16, jax.devices()[0]))
     params = jax.eval_shape(
         lambda: jax.vmap(lambda key: agents.behavior(agents.init(agent, key)))(
@@ -191,7 +191,7 @@ def test_a_human_errs_at_the_same_steps(part):
 @pytest.mark.parametrize("rough", [False, True])
 def test_terrain_is_the_same(rough):
     def drawn():
-        return terrain.drawn(make_key(5), rough)
+        return terrain.draw(make_key(5), rough)
 
     _same(drawn(), _with("jax_enable_x64", True, drawn))
 

@@ -36,7 +36,7 @@ def _forget():
 
 def _traced(version, monkeypatch):
     """Instructions of all kernels of a tick for a GPU, and the tick's own operations."""
-    texts, written = [], kernel.written
+    texts, written = [], kernel.kernel_text
 
     def noted(*given):
         text, told = written(*given)
@@ -46,9 +46,9 @@ def _traced(version, monkeypatch):
     seeds = jnp.zeros(_LANES, jnp.uint32)
     command, action = jnp.zeros(_LANES, jnp.int32), jnp.zeros((_LANES, 4))
     with monkeypatch.context() as patch, gpu.use(version):
-        patch.setattr(kernel, "written", noted)
+        patch.setattr(kernel, "kernel_text", noted)
         patch.setattr(gpu, "on_gpu", lambda: True)
-        walkers = jax.eval_shape(lambda: jax_pool._made(seeds, False))
+        walkers = jax.eval_shape(lambda: jax_pool.new_walkers(seeds, False))
         closed = jax.make_jaxpr(jax_pool.tick.__wrapped__)(walkers, command, action, seeds)
     lines = re.findall(r"^(?:@!?%p\d+ )?([a-z][\w.]*)(?: .*)?;$", "\n".join(texts), re.MULTILINE)
     return set(lines), {eqn.primitive.name for eqn in closed.jaxpr.eqns}
@@ -64,7 +64,9 @@ def test_by_default_a_gpu_gets_instructions_that_have_run_on_one(monkeypatch):
 
 
 def test_a_cpu_gets_the_same_whatever_is_asked():
-    walkers = jax.eval_shape(jax.vmap(walker.made), jax.random.split(jax.random.key(0), _LANES))
+    walkers = jax.eval_shape(
+        jax.vmap(walker.new_walker), jax.random.split(jax.random.key(0), _LANES)
+    )
     texts = set()
     for version in gpu.VERSIONS:
         with gpu.use(version):

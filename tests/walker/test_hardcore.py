@@ -50,7 +50,7 @@ def test_terrain_from_equal_numbers_is_gymnasiums():
         ),
         rng.random(shape) < 0.5,
     )
-    plan = jax.jit(jax.vmap(terrain.planned))(*drawn)
+    plan = jax.jit(jax.vmap(terrain.hardcore_from_draws))(*drawn)
     kinds = set()
     for index in range(DRAWS):
         official = theirs.make(hardcore=True)

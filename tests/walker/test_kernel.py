@@ -12,15 +12,17 @@ import pytest
 
 from hitl_jax.envs import Command, make_pool
 from hitl_jax.walker import constants, gpu, terrain
-from hitl_jax.walker.batching.masked_subset import where_needed
+from hitl_jax.walker.batching.masked_subset import apply_masked
 from hitl_jax.walker.geometry import Speeds, Vec, pose
 from hitl_jax.walker.gpu import kernel, sincos
 from hitl_jax.walker.gpu.four_threads import sincos as other_sincos
 from hitl_jax.walker.gpu.four_threads import solver as four_threads
-from hitl_jax.walker.gpu.four_threads.thread import NeighbourThread
-from hitl_jax.walker.gpu.jaxpr_to_ptx import Thread
-from hitl_jax.walker.physics import contact_solver, ground, impacts, joints, manifolds, world
-from hitl_jax.walker.physics.boxes import Boxes, Near
+from hitl_jax.walker.gpu.four_threads.thread import ExchangingThreadWriter
+from hitl_jax.walker.gpu.jaxpr_to_ptx import ThreadWriter
+from hitl_jax.walker.physics import contact_solver, ground, impacts, joints, world
+from hitl_jax.walker.physics.boxes import Boxes, NearbyGround
+from hitl_jax.walker.physics.contacts import match_impulses
+from hitl_jax.walker.physics.manifolds import touching_first
 from hitl_jax.walker.physics.time_of_impact import Sweep
 from hitl_jax.walker.terrain import Terrain
 
@@ -58,18 +60,18 @@ def _prepared(before, heights):
     bodies = pose(before.place, before.angle)
     legs = world.legs_of(bodies)
     near = ground.near_parts(Terrain(heights), world.legs_left(legs))
-    manifold = manifolds.forward(near.touch(legs))
-    contacts = manifolds.remember(before.contacts, manifold)
+    manifold = touching_first(near.manifolds(legs))
+    contacts = match_impulses(before.contacts, manifold)
     speed = jnp.asarray(constants.SPEEDS[:, None], jnp.float32) * jnp.ones((4, _WALKERS))
-    hinge = joints.prepare(bodies, before.angle, speed, constants.TORQUE * jnp.ones_like(speed))
-    return near, manifold, contacts, hinge, contact_solver.prepare(manifold, legs)
+    joint = joints.prepare(bodies, before.angle, speed, constants.TORQUE * jnp.ones_like(speed))
+    return near, manifold, contacts, joint, contact_solver.prepare(manifold, legs)
 
 
 def _written(function, parts, args):
     """The text of a kernel for a GPU, of the version in use."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gpu, "on_gpu", lambda: True)
-        return kernel.written(function, parts, args)
+        return kernel.kernel_text(function, parts, args)
 
 
 def _emulated(function, parts=(), block_size=None):
@@ -111,24 +113,25 @@ def _is_as_on_a_cpu(function, args):
     _are_close(got, expected)
 
 
-def test_velocity_rounds(now, version):
-    before, _, _, contacts, hinge, grip = now
+def test_velocity_iterations(now, version):
+    before, _, _, contacts, joint, constraints = now
     assert contacts.touching[:, 1::2].any()
-    _is_as_on_a_cpu(world._velocities, (before, hinge, grip, contacts))
+    _is_as_on_a_cpu(world._solve_velocities, (before, joint, constraints, contacts))
 
 
 def test_velocity_rounds_with_contacts_of_all_parts(now, version):
     """Also where a walker touches with its thighs, and with more than two edges."""
-    before, _, _, contacts, hinge, grip = now
+    before, _, _, contacts, joint, constraints = now
     everywhere = jax.tree.map(
-        lambda leaf: np.broadcast_to(leaf[:1, 1:2], leaf.shape), (contacts, grip.points)
+        lambda leaf: np.broadcast_to(leaf[:1, 1:2], leaf.shape), (contacts, constraints.points)
     )
     contacts, points = everywhere
     matrices = jax.tree.map(
-        lambda leaf: np.broadcast_to(leaf[:1, 1:2], leaf.shape), (grip.matrix, grip.inverse)
+        lambda leaf: np.broadcast_to(leaf[:1, 1:2], leaf.shape),
+        (constraints.matrix, constraints.inverse),
     )
-    grip = contact_solver.Grips(grip.weight, points, *matrices)
-    _is_as_on_a_cpu(world._velocities, (before, hinge, grip, contacts))
+    constraints = contact_solver.ContactConstraints(constraints.inverse_masses, points, *matrices)
+    _is_as_on_a_cpu(world._solve_velocities, (before, joint, constraints, contacts))
 
 
 def _on_stairs(near, place):
@@ -137,7 +140,7 @@ def _on_stairs(near, place):
     left, top = place.x[1:] + steps, place.y[1:] - 0.45 + steps / 4
     wide = np.where(steps != 0, 0.35, 0).astype(np.float32)
     boxes = Boxes(Vec(left, top - 1), Vec(left + wide, top + 0 * left))
-    return Near(near.edges, boxes)
+    return NearbyGround(near.edges, boxes)
 
 
 @pytest.mark.parametrize("hardcore", [False, True])
@@ -147,23 +150,23 @@ def test_where_parts_touch(now, neighbours, hardcore):
     assert contacts.touching.any()
     if hardcore:
         near = _on_stairs(near, before.place)
-        assert near.touch(legs).touching[4:].any()
-    _agree(world._touched, (legs, near, before.contacts, before.feet), parts=(4,))
+        assert near.manifolds(legs).touching[4:].any()
+    _agree(world._collide, (legs, near, before.contacts, before.ground_contact), parts=(4,))
 
 
-def test_position_rounds(now, version):
-    before, _, manifold, _, hinge, _ = now
-    _is_as_on_a_cpu(world._settle, (before.place, before.angle, hinge.side, manifold))
+def test_position_iterations(now, version):
+    before, _, manifold, _, joint, _ = now
+    _is_as_on_a_cpu(world._solve_positions, (before.place, before.angle, joint.side, manifold))
 
 
 def test_position_rounds_of_a_walker_out_of_joint(now, version):
     """It needs all rounds, of both legs; its neighbours do not."""
-    before, _, manifold, _, hinge, _ = now
+    before, _, manifold, _, joint, _ = now
     shift = np.zeros((5, _WALKERS), np.float32)
     shift[[1, 4], 0] = 0.2, -0.1
     place = Vec(before.place.x + shift, before.place.y)
     angle = before.angle + shift
-    _is_as_on_a_cpu(world._settle, (place, angle, hinge.side, manifold))
+    _is_as_on_a_cpu(world._solve_positions, (place, angle, joint.side, manifold))
 
 
 @pytest.mark.parametrize(
@@ -177,16 +180,16 @@ def test_impacts_have_a_thread_for_each_part(now, version, hardcore):
         near = _on_stairs(near, Vec(before.place.x, before.place.y - 0.03))
     start = Vec(before.place.x[1:], before.place.y[1:])
     end = Vec(start.x + 0.02, start.y - 0.1)
-    moved = impacts.Moved(
+    moved = impacts.LegMotion(
         sweep=Sweep(start, before.angle[1:], end, before.angle[1:] + 0.1),
         done=jnp.zeros((4, _WALKERS)),
         speeds=Speeds(Vec(jnp.ones((4, _WALKERS)), -5 * jnp.ones((4, _WALKERS))), before.spin[1:]),
         contacts=contacts,
-        feet=before.feet,
+        ground_contact=before.ground_contact,
     )
-    assert (jax.jit(impacts.land)(moved, near).done > 0).any()
+    assert (jax.jit(impacts.solve_impacts)(moved, near).done > 0).any()
     needed = jnp.arange(4 * _WALKERS).reshape(4, _WALKERS) % 2 == 0
-    work = functools.partial(where_needed, impacts.land)
+    work = functools.partial(apply_masked, impacts.solve_impacts)
     _agree(work, (needed, moved, near), parts=(4,))
 
 
@@ -202,7 +205,7 @@ def test_hardcore_terrain(version):
     ends = ((5, 10), (1, 4), (1, 3), (3, 5))
     integers = [rng.integers(*each, shape).astype(np.int32) for each in ends]
     pushes = rng.uniform(-0.03, 0.03, shape).astype(np.float32)
-    _agree(terrain._spots, (pushes, *integers, rng.random(shape) < 0.5))
+    _agree(terrain._corners, (pushes, *integers, rng.random(shape) < 0.5))
 
 
 @pytest.mark.parametrize("module", [sincos, other_sincos])
@@ -225,13 +228,13 @@ def test_threads_beyond_the_batch_do_nothing(version, parts):
 
 def test_what_threads_would_have_to_tell_each_other_is_refused():
     with pytest.raises(NotImplementedError, match="over threads"):
-        kernel.written(lambda a: a + a.sum(), (), (np.zeros(3, np.float32),))
+        kernel.kernel_text(lambda a: a + a.sum(), (), (np.zeros(3, np.float32),))
 
 
 def test_leaves_of_other_batches_are_named():
     args = (np.zeros((2, 3), np.float32), np.zeros(4, np.float32))
     with pytest.raises(ValueError, match=r"shape \(4,\): must end with \(3,\)"):
-        kernel.written(lambda a, b: (a, b), (), args)
+        kernel.kernel_text(lambda a, b: (a, b), (), args)
 
 
 @pytest.mark.parametrize("block_size", [None, 4, 8])
@@ -283,8 +286,8 @@ def test_one_thread_a_walker_is_told_nothing(axis, parts):
     [(1002, 1, 132, 1), (4008, 4, 132, 4), (16_384, 4, 132, 16), (10**6, 4, 132, 32), (8, 4, 1, 4)],
 )
 def test_blocks_are_small_while_a_gpu_has_room(threads, parts, cores, block):
-    assert NeighbourThread.block_size(threads, parts, cores) == block
-    assert Thread.block_size(threads, parts, cores) == 32
+    assert ExchangingThreadWriter.block_size(threads, parts, cores) == block
+    assert ThreadWriter.block_size(threads, parts, cores) == 32
 
 
 def test_on_a_cpu_a_function_stays_itself():
@@ -323,9 +326,9 @@ def test_kernels_are_for_gpus_that_know_their_instructions(
 )
 def test_what_a_kernel_would_get_wrong_is_refused(function, message):
     with pytest.raises(NotImplementedError, match=message):
-        kernel.written(function, (), (np.zeros(3, np.float32),))
+        kernel.kernel_text(function, (), (np.zeros(3, np.float32),))
 
 
 def test_results_without_the_batch_are_named():
     with pytest.raises(ValueError, match=r"result of shape \(3,\): must end with the batch"):
-        kernel.written(lambda a: (a, jnp.arange(3.0)), (), (np.zeros(5, np.float32),))
+        kernel.kernel_text(lambda a: (a, jnp.arange(3.0)), (), (np.zeros(5, np.float32),))

@@ -13,10 +13,10 @@ from hitl_jax.agreement.returns import distance
 from hitl_jax.agreement.states import copied
 from hitl_jax.envs import Command, jax_pool, make_pool
 from hitl_jax.walker import bipedal, constants, terrain
-from hitl_jax.walker.batching.batch_last_vmap import of_one
-from hitl_jax.walker.batching.masked_subset import rarely
+from hitl_jax.walker.batching.batch_last_vmap import single_from_batch
+from hitl_jax.walker.batching.masked_subset import apply_to_subset
 from hitl_jax.walker.geometry import Vec
-from hitl_jax.walker.physics import manifolds
+from hitl_jax.walker.physics import contacts, manifolds
 from hitl_jax.walker.terrain import Terrain
 from hitl_jax.xla.devices import walker_devices
 from hitl_jax.xla.threefry import make_key
@@ -76,11 +76,11 @@ def test_bodies_are_gymnasiums(official):
         )
 
 
-def test_hinges_are_gymnasiums(official):
+def test_joints_are_gymnasiums(official):
     official.reset(seed=0)
     bodies = [official.hull, *official.legs]
     for index, joint in enumerate(official.joints):
-        first, second = constants.HINGES[index]
+        first, second = constants.JOINTS[index]
         assert (joint.bodyA, joint.bodyB) == (bodies[first], bodies[second])
         assert joint.lowerLimit == pytest.approx(constants.LOWER[index])
         assert joint.upperLimit == pytest.approx(constants.UPPER[index])
@@ -126,7 +126,9 @@ def test_a_reset_on_gymnasiums_terrain_is_gymnasiums(official):
     for seed in range(3):
         observation, _ = official.reset(seed=seed)
         drawn = bipedal.draw_start(bipedal.random_numbers(seed))
-        walkers.append(walker.made_on(Terrain(np.float32(drawn.heights)), np.float32(drawn.push)))
+        walkers.append(
+            walker.new_walker_on(Terrain(np.float32(drawn.heights)), np.float32(drawn.push))
+        )
         expected.append(observation)
     first, after = step(stacked(walkers), np.zeros((LANES, 4)))
     np.testing.assert_allclose(after.observation[:3], expected, atol=1e-5)
@@ -146,7 +148,7 @@ def test_falls_end_it_when_gymnasiums_end(official):
 
 
 def test_ends():
-    one = jax.tree.map(np.asarray, walker.made(make_key(0)))
+    one = jax.tree.map(np.asarray, walker.new_walker(make_key(0)))
     one = dataclasses.replace(one, steps=np.int32(0))
     place = dataclasses.replace(
         one.world.place, x=one.world.place.x + np.float32(constants.GOAL - 4)
@@ -161,7 +163,7 @@ def test_ends():
 
 def test_neither_place_nor_neighbours_matter():
     rng, rows = np.random.default_rng(0), []
-    walkers = stacked([walker.made(make_key(seed)) for seed in range(LANES)])
+    walkers = stacked([walker.new_walker(make_key(seed)) for seed in range(LANES)])
     for count in range(60):
         actions = rng.uniform(-1, 1, (LANES, 4)).astype(np.float32)
         if count % 2:  # Now one, now another, in the air and on the ground.
@@ -182,8 +184,8 @@ def test_neither_place_nor_neighbours_matter():
 
 def test_terrain_is_drawn_as_gymnasium_draws_it():
     keys = jax.random.split(jax.random.key(0), 400)
-    ours = np.asarray(jax.jit(jax.vmap(terrain.grass))(keys))
-    drawn = np.array([bipedal.draw_grass(bipedal.random_numbers(seed)) for seed in range(400)])
+    ours = np.asarray(jax.jit(jax.vmap(terrain.draw_plain))(keys))
+    drawn = np.array([bipedal.draw_plain(bipedal.random_numbers(seed)) for seed in range(400)])
     assert (ours[:, :20] == ours[0, 0]).all()
     for values in (lambda x: x[:, 60], lambda x: x[:, -1], lambda x: np.diff(x)[:, 100]):
         assert distance(values(ours), values(drawn)) < 0.1
@@ -210,29 +212,29 @@ def test_the_pool_plays_by_seeds():
 
 
 def test_many_walkers_are_stepped_in_blocks(monkeypatch):
-    def begun(num):
+    def stepped(num):
         seeds = np.arange(num, dtype=np.uint32)
         with make_pool("jax", num, 1) as pool:
             actions = np.zeros((num, 4), np.float32)
             pool.step(np.full(num, Command.RESET), actions, seeds)
             return pool.step(np.full(num, Command.STEP), actions + 1, seeds).observation
 
-    few = begun(3)
-    # More than eight times sixteen: from there on others were worked on at a time in `rarely`.
-    monkeypatch.setattr(jax_pool, "_MOST_LANES", 9 * LANES)
-    many = begun(18 * LANES)
+    few = stepped(3)
+    # Many more than the eight that `apply_to_subset` works on at a time.
+    monkeypatch.setattr(jax_pool, "MAX_LANES", 9 * LANES)
+    many = stepped(18 * LANES)
     np.testing.assert_array_equal(many[:3], few)
     assert len(np.unique(many, axis=0)) == len(many)
 
 
 def test_made_walkers_differ_by_key():
-    one, other = (walker.made(make_key(seed)) for seed in (1, 2))
+    one, other = (walker.new_walker(make_key(seed)) for seed in (1, 2))
     assert (one.terrain.heights != other.terrain.heights).any()
     assert one.world.velocity.x[0] != other.world.velocity.x[0]
 
 
 def test_of_one_maps_over_any_axes():
-    @of_one
+    @single_from_batch
     def total(values, factor):  # [n, B], [B]
         return (values * factor).sum(0)
 
@@ -248,7 +250,7 @@ def test_of_one_maps_over_any_axes():
 def test_rarely_works_for_those_who_need_it(share):
     needed = np.random.default_rng(0).uniform(size=100) < share
     state = (jnp.arange(100.0), jnp.zeros((2, 100)))
-    done = rarely(needed, lambda s, c: (s[0] + c, s[1] - 1), state, jnp.full(100, 5.0))
+    done = apply_to_subset(needed, lambda s, c: (s[0] + c, s[1] - 1), state, jnp.full(100, 5.0))
     np.testing.assert_array_equal(done[0], np.arange(100) + 5 * needed)
     np.testing.assert_array_equal(done[1], np.tile(-1.0 * needed, (2, 1)))
 
@@ -275,7 +277,7 @@ def test_touching_slots_stand_first_in_their_order(slots, leads):
         keys=(whole, -whole),
         valid=(jnp.asarray(touching), jnp.zeros(touching.shape, bool)),
     )
-    moved = manifolds.forward(manifold, jnp.asarray(leading))
+    moved = manifolds.touching_first(manifold, jnp.asarray(leading))
     for part in range(num_parts):
         for walker_ in range(batch):
             met, first = touching[:, part, walker_], leading[:, part, walker_]
@@ -290,20 +292,20 @@ def test_touching_slots_stand_first_in_their_order(slots, leads):
 
 
 def test_impulses_go_with_their_edge_and_point_to_another_slot():
-    before = manifolds.no_contacts(1)
+    before = contacts.no_contacts(1)
     edge = jnp.array([7, 8, 9, 10], jnp.int32)[:, None, None] + jnp.zeros_like(before.edge)
     keys = (jnp.zeros_like(edge) + 1, jnp.zeros_like(edge) + 2)
     there = jnp.ones(edge.shape, bool)
     normal = (edge.astype(jnp.float32), 10 * edge.astype(jnp.float32))
-    before = manifolds.Contacts(edge, keys, (there, there), normal, normal)
+    before = contacts.Contacts(edge, keys, (there, there), normal, normal)
     now = jnp.array([9, 11, 7, 8], jnp.int32)[:, None, None] + jnp.zeros_like(edge)
     blank = Vec(*jnp.zeros((2, *edge.shape)))
     swapped, only_first = (keys[1], keys[0]), (there, ~there)
     manifold = manifolds.Manifold(now, there, blank, blank, (blank, blank), swapped, only_first)
-    after = manifolds.remember(before, manifold)
+    after = contacts.match_impulses(before, manifold)
     expected = np.array([90.0, 0.0, 70.0, 80.0])
     for part in range(4):
         np.testing.assert_array_equal(after.normal[0][:, part, 0], expected)
-        np.testing.assert_array_equal(after.along[1][:, part, 0], expected / 10)
-    stands = manifolds.feet_after(jnp.ones((4, 1), bool), before, after)
+        np.testing.assert_array_equal(after.friction[1][:, part, 0], expected / 10)
+    stands = contacts.ground_contact_after(jnp.ones((4, 1), bool), before, after)
     assert not stands.any()  # Of edges 10, which ended, and 11, which began, the left one counts.

@@ -1,1 +1,1 @@
-"""How functions of one walker become fast functions of many."""
+"""Turns functions of one walker into fast functions of many walkers."""

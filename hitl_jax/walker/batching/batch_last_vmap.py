@@ -1,4 +1,7 @@
-"""Functions written for a batch on the last axis, used as functions of one that any `vmap` maps."""
+"""Makes functions written for a batch on the last axis usable under any `vmap`.
+
+A CPU fills its vector registers along the last axis; `vmap` alone would put the batch first.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,17 +10,16 @@ import jax
 import jax.numpy as jnp
 
 
-def of_one(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Makes a function of one element of a function of a batch.
+def single_from_batch(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Makes a function of one element from a function of a batch.
 
-    Under `vmap`, nested ones too, the batches become one last axis again: along it a CPU's vector
-    registers are filled.
+    Under `vmap`, nested ones too, all batch axes become one last axis of `function`'s arguments.
 
     Args:
-        function: of arrays whose last axis is the batch, to such arrays.
+        function: takes and returns pytrees of arrays whose last axis is the batch.
 
     Returns:
-        The same function of arrays without that axis.
+        The same function, of arrays without that axis.
     """
 
     @jax.custom_batching.custom_vmap

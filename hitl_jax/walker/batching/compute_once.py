@@ -1,22 +1,23 @@
-"""Values that are computed once, where several others are computed from them."""
+"""Keeps XLA from computing a value again for each value that depends on it."""
 
 from typing import TypeVar
 
 from hitl_jax.walker import gpu
-from hitl_jax.xla.fusion_barrier import border
+from hitl_jax.xla.fusion_barrier import fusion_barrier
 
 Tree = TypeVar("Tree")
 
 
 def once(values: Tree) -> Tree:
-    """Has values computed once on a CPU, see `border`; for a GPU nothing is done.
+    """Has values computed once on a CPU, see `fusion_barrier`; on a GPU it does nothing.
 
-    Computed again in every kernel that uses them, a solver's chains would grow exponentially.
+    Without it each kernel would compute again what it uses, and a solver's chain of values would
+    take exponentially many operations.
 
     Args:
-        values: arrays.
+        values: a pytree of arrays.
 
     Returns:
-        The same.
+        The values, unchanged.
     """
-    return values if gpu.on_gpu() else border(values)
+    return values if gpu.on_gpu() else fusion_barrier(values)

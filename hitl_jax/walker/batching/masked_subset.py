@@ -1,4 +1,4 @@
-"""Work that only few of a batch need."""
+"""Does work that only few elements of a batch need, for these alone."""
 
 import functools
 import math
@@ -17,33 +17,33 @@ Other = TypeVar("Other")
 _Rows = dict[str, jax.Array]
 
 _WIDTH = 8
-"""So many are worked on at a time, whatever the batch: XLA would round otherwise with others."""
+"""Elements that are worked on at a time. Fixed, since XLA's rounding depends on it."""
 
 
-def rarely(
+def apply_to_subset(
     needed: jax.Array,
     work: Callable[[Tree, Other], Tree],
     state: Tree,
     context: Other,
     parts: tuple[int, ...] = (),
 ) -> Tree:
-    """Does a piece of work for those of a batch that need it, some at a time.
+    """Applies a function to those elements of a batch that need it, a few at a time.
 
-    A GPU does it in one kernel, where those who do not need it go by.
+    On a GPU it is one kernel, in which the threads of other elements do nothing.
 
     Args:
-        needed: for whom, bool [B].
-        work: from a state and a context to the state after; their last axis is a batch of any size.
+        needed: which elements, bool [B].
+        work: from a state and a context to the new state; their last axis is a batch of any size.
         state: last axis B.
         context: last axis B, or 1.
         parts: as in `as_kernel`.
 
     Returns:
-        The state, worked on where needed, last axis B.
+        The new state where needed, the old one elsewhere; last axis B.
     """
     if gpu.on_gpu():
         needed = jnp.broadcast_to(needed, (*parts, *needed.shape))
-        return as_kernel(functools.partial(where_needed, work), parts)(needed, state, context)
+        return as_kernel(functools.partial(apply_masked, work), parts)(needed, state, context)
     return jax.lax.cond(
         needed.any(),
         functools.partial(_some_at_a_time, work),
@@ -55,19 +55,20 @@ def rarely(
 def _some_at_a_time(
     work: Callable[[Tree, Other], Tree], needed: jax.Array, state: Tree, context: Other
 ) -> Tree:
+    """Applies the function to `_WIDTH` elements after the other until all are done."""
     batch = needed.shape[0]
     width = min(_WIDTH, batch)
-    # Places past the end are of none: read as the last, never written.
+    # Indices past the end stand for no element: they read the last one and are never written.
     order = jnp.nonzero(needed, size=batch + width, fill_value=batch)[0].astype(jnp.int32)
     count = needed.sum(dtype=jnp.int32)
 
     def some(carry: tuple[jax.Array, _Rows]) -> tuple[jax.Array, _Rows]:
         begin, rows = carry
         lanes = jax.lax.dynamic_slice(order, (begin,), (width,))
-        taken, beside = jax.tree.map(
+        own, own_context = jax.tree.map(
             lambda leaf: jnp.take(leaf, lanes, axis=-1, mode="clip"), (rows, context)
         )
-        done = _rows_of(work(_tree_of(state, taken), beside))
+        done = _rows_of(work(_tree_of(state, own), own_context))
         rows = {name: rows[name].at[:, lanes].set(done[name], mode="drop") for name in rows}
         return begin + width, rows
 
@@ -77,7 +78,7 @@ def _some_at_a_time(
 
 
 def _rows_of(tree: chex.ArrayTree) -> _Rows:
-    """All leaves of each type as one array, [rows, B]: they are written at once."""
+    """All leaves of each type as one array, [rows, B], so that one scatter writes them."""
     rows: dict[str, list[jax.Array]] = {}
     for leaf in jax.tree.leaves(tree):
         rows.setdefault(leaf.dtype.name, []).append(leaf.reshape(-1, leaf.shape[-1]))
@@ -85,7 +86,7 @@ def _rows_of(tree: chex.ArrayTree) -> _Rows:
 
 
 def _tree_of(like: Tree, rows: _Rows) -> Tree:
-    """The tree of which `_rows_of` made the rows; `like` has its types, and its shapes but B."""
+    """The tree from the rows of `_rows_of`; types and shapes (without B) are those of `like`."""
     places = dict.fromkeys(rows, 0)
 
     def next_of(leaf: jax.Array) -> jax.Array:
@@ -98,10 +99,10 @@ def _tree_of(like: Tree, rows: _Rows) -> Tree:
     return result
 
 
-def where_needed(
+def apply_masked(
     work: Callable[[Tree, Other], Tree], needed: jax.Array, state: Tree, context: Other
 ) -> Tree:
-    """The work, if anybody needs it, for those who do; see `rarely`."""
+    """Applies the function to the whole batch if any element needs it, and keeps what is needed."""
 
     def worked() -> Tree:
         done = work(state, context)

@@ -1,9 +1,9 @@
-"""A function of a batch as one kernel of a GPU: a walker a thread or a few, numbers in registers.
+"""Makes a function of a batch one kernel on a GPU: a thread or a few per walker.
 
-XLA makes a kernel of each handful of operations. The solver's loops are hundreds of rounds of a
-hundred small operations each: on a GPU they would spend their time on starting kernels and on
-memory. Here the function's jaxpr is written as the instructions of one thread (`jaxpr_to_ptx`,
-`ptx`), which XLA takes as they are. On other devices the function stays as it is.
+XLA makes a kernel of every few operations. The solver's loops are hundreds of iterations of a
+hundred small operations each: on a GPU such kernels would spend their time on launches and memory.
+Here the function's jaxpr is written as the instructions of one thread (`jaxpr_to_ptx`, `ptx`), with
+all numbers in registers; XLA calls the result as it is. On other devices nothing is changed.
 """
 
 import functools
@@ -16,26 +16,27 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax.walker import gpu
-from hitl_jax.walker.gpu.four_threads.thread import NeighbourThread
-from hitl_jax.walker.gpu.jaxpr_to_ptx import Thread, array_of, elements_of
-from hitl_jax.walker.gpu.ptx import Writer
+from hitl_jax.walker.gpu.four_threads.thread import ExchangingThreadWriter
+from hitl_jax.walker.gpu.jaxpr_to_ptx import ThreadWriter
+from hitl_jax.walker.gpu.ptx import PtxWriter
+from hitl_jax.walker.gpu.registers import array_of, elements_of
 
 _NAME = "walker"
 _PLACEHOLDER = 9973
-"""Stands for the batch while a function is traced; no other axis is as long."""
+"""Length of the batch while a function is traced; no other axis may have it."""
 
 
 def as_kernel(function: Callable[..., Any], parts: tuple[int, ...] = ()) -> Callable[..., Any]:
-    """The function as one kernel, for the GPUs of `gpu.on_gpu`; else itself.
+    """The function as one kernel, where `gpu.on_gpu`; elsewhere the function itself.
 
-    Whether anybody needs another round is asked of each thread by itself: a loop must do nothing to
-    those that need none.
+    Each thread decides alone how often it runs a loop's body: the body must leave walkers unchanged
+    that need no more iterations.
 
     Args:
-        function: of pytrees whose leaves' last axis is the batch, or 1, to such; what it does not
-            get as an argument must be constant.
-        parts: lengths of the axes before the batch's, in all leaves, whose places get a thread
-            each. They do not feel each other, unless `NeighbourThread` says how.
+        function: takes and returns pytrees whose leaves' last axis is the batch, or 1; all else
+            that it uses must be constant.
+        parts: lengths of the axes just before the batch's, in all leaves: each place of them gets a
+            thread. Threads are independent, except by `ExchangingThreadWriter`.
 
     Returns:
         A function of the same arguments.
@@ -44,40 +45,47 @@ def as_kernel(function: Callable[..., Any], parts: tuple[int, ...] = ()) -> Call
 
 
 def call(function: Callable[..., Any], parts: tuple[int, ...], *args: Any) -> Any:
-    """Calls a function as a kernel; see `as_kernel`. Traced anywhere, it runs on NVIDIA's GPUs."""
+    """Calls a function as a kernel, see `as_kernel`; traced anywhere, it runs on a GPU."""
     leaves, structure = jax.tree.flatten(args)
     batch = max(leaf.shape[-1] for leaf in leaves)
     leaves = [jnp.broadcast_to(leaf, (*leaf.shape[:-1], batch)) for leaf in leaves]
     shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
-    text, told = written(function, parts, jax.tree.unflatten(structure, shapes))
-    told_leaves, told_structure = jax.tree.flatten(told)
+    text, shapes_out = kernel_text(function, parts, jax.tree.unflatten(structure, shapes))
+    out_leaves, out_structure = jax.tree.flatten(shapes_out)
     threads = batch * math.prod(parts)
     cores = getattr(gpu.default_device(), "core_count", 1)
     block = _thread_class().block_size(threads, math.prod(parts), cores)
     sizes = {"grid_x": math.ceil(threads / block), "grid_y": 1, "grid_z": 1}
     sizes |= {"block_x": block, "block_y": 1, "block_z": 1, "shared_mem_bytes": 0}
-    results = jax.ffi.ffi_call("__gpu$xla.gpu.ptx", told_leaves)(
+    results = jax.ffi.ffi_call("__gpu$xla.gpu.ptx", out_leaves)(
         *leaves,
         name=_NAME,
         kernel_type="ptx",
         kernel_data=text,
         **{name: np.int32(size) for name, size in sizes.items()},
-        output_indices=tuple(np.int32(len(leaves) + index) for index in range(len(told_leaves))),
+        output_indices=tuple(np.int32(len(leaves) + index) for index in range(len(out_leaves))),
     )
-    return jax.tree.unflatten(told_structure, results)
+    return jax.tree.unflatten(out_structure, results)
 
 
-def _thread_class() -> type[Thread]:
-    return NeighbourThread if gpu.uses_four_threads() else Thread
+def _thread_class() -> type[ThreadWriter]:
+    return ExchangingThreadWriter if gpu.uses_four_threads() else ThreadWriter
 
 
-def written(function: Callable[..., Any], parts: tuple[int, ...], args: Any) -> tuple[str, Any]:
-    """The kernel's text, and the shapes of what it tells.
+def kernel_text(function: Callable[..., Any], parts: tuple[int, ...], args: Any) -> tuple[str, Any]:
+    """Writes a kernel.
 
     Args:
         function: see `as_kernel`.
-        parts: likewise.
+        parts: see `as_kernel`.
         args: a tuple of pytrees of shapes, which all end with one batch.
+
+    Returns:
+        The kernel's PTX, and the shapes of its results.
+
+    Raises:
+        ValueError: if an argument or a result does not end with `parts` and the batch.
+        NotImplementedError: if the function uses an operation that kernels do not have.
     """
     lanes = (*parts, _PLACEHOLDER)
     leaves, structure = jax.tree.flatten(args)
@@ -85,18 +93,18 @@ def written(function: Callable[..., Any], parts: tuple[int, ...], args: Any) -> 
     if wrong := [leaf.shape for leaf in leaves if leaf.shape[-len(lanes) :] != (*parts, batch)]:
         raise ValueError(f"an argument of shape {wrong[0]}: must end with {(*parts, batch)}")
     traced = [jax.ShapeDtypeStruct((*leaf.shape[:-1], _PLACEHOLDER), leaf.dtype) for leaf in leaves]
-    closed, told = jax.make_jaxpr(function, return_shape=True)(
+    closed, shapes_out = jax.make_jaxpr(function, return_shape=True)(
         *jax.tree.unflatten(structure, traced)
     )
-    ends = [leaf.shape for leaf in jax.tree.leaves(told)]
-    if wrong := [shape for shape in ends if shape[-len(lanes) :] != lanes]:
+    result_shapes = [leaf.shape for leaf in jax.tree.leaves(shapes_out)]
+    if wrong := [shape for shape in result_shapes if shape[-len(lanes) :] != lanes]:
         raise ValueError(f"a result of shape {wrong[0]}: must end with the batch")
-    told = jax.tree.map(
-        lambda leaf: jax.ShapeDtypeStruct((*leaf.shape[:-1], batch), leaf.dtype), told
+    shapes_out = jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct((*leaf.shape[:-1], batch), leaf.dtype), shapes_out
     )
-    results = jax.tree.leaves(told)
+    results = jax.tree.leaves(shapes_out)
 
-    writer = Writer()
+    writer = PtxWriter()
     threads = batch * math.prod(parts)
     thread = _thread_class()(writer, lanes)
     place = thread.begin(batch)
@@ -115,4 +123,4 @@ def written(function: Callable[..., Any], parts: tuple[int, ...], args: Any) -> 
     ):
         for row, element in enumerate(elements_of(value)):
             writer.store(address, row * threads, element)
-    return writer.text(_NAME, len(addresses)), told
+    return writer.text(_NAME, len(addresses)), shapes_out

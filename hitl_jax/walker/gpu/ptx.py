@@ -1,7 +1,7 @@
-"""The text of a GPU's kernel, instruction by instruction, for one thread.
+"""Writes the PTX of a kernel, instruction by instruction, for one thread.
 
-PTX is NVIDIA's documented assembly language of a machine without a limit to its registers:
-https://docs.nvidia.com/cuda/parallel-thread-execution. The driver makes machine code of it.
+PTX is NVIDIA's documented assembly language, with unlimited registers:
+https://docs.nvidia.com/cuda/parallel-thread-execution. The driver compiles it to machine code.
 """
 
 import contextlib
@@ -53,7 +53,7 @@ class Register:
     """A thread's register.
 
     Attributes:
-        name: as it stands in the text.
+        name: as in the text.
         kind: `f32`, `s32`, `pred`, or `u64` for addresses.
     """
 
@@ -74,7 +74,7 @@ def _kind(element: Element) -> str:
     return element.kind if isinstance(element, Register) else kind_of(element.dtype)
 
 
-class Writer:
+class PtxWriter:
     """Writes a kernel's instructions one after the other."""
 
     def __init__(self) -> None:
@@ -83,7 +83,7 @@ class Writer:
         self._labels = 0
 
     def text(self, name: str, num_arrays: int) -> str:
-        """The kernel, of this name, whose arguments are addresses of so many arrays."""
+        """The kernel's text; its arguments are the addresses of `num_arrays` arrays."""
         arguments = ", ".join(f".param .u64 array{index}" for index in range(num_arrays))
         registers = [
             f".reg .{kind} %{letter}<{self._counts[kind] + 1}>;"
@@ -94,7 +94,7 @@ class Writer:
         return f"{_HEAD}.visible .entry {name}({arguments})\n{{\n{body}\n}}\n"
 
     def register(self, kind: str) -> Register:
-        """A fresh one."""
+        """A new register."""
         self._counts[kind] += 1
         return Register(f"%{_LETTERS[kind]}{self._counts[kind]}", kind)
 
@@ -103,14 +103,14 @@ class Writer:
         self._lines.append(line)
 
     def apply(self, instruction: str, kind: str, *operands: Element | str) -> Register:
-        """The result of an instruction, of a kind, in a fresh register."""
+        """Writes an instruction; its result, in a new register of a kind."""
         result = self.register(kind)
         shown = ", ".join(o if isinstance(o, str) else self.shown(o) for o in operands)
         self.write(f"{instruction} {result.name}, {shown};")
         return result
 
     def shown(self, element: Element) -> str:
-        """An operand as it stands in an instruction."""
+        """The text of an operand."""
         if isinstance(element, Register):
             return element.name
         if isinstance(element, np.bool_):
@@ -121,10 +121,10 @@ class Writer:
             return f"0f{element.view(np.uint32):08X}"
         return str(int(element))
 
-    # Threads and arrays.
+    # Threads, and arrays in memory.
 
     def begin(self, num_threads: int) -> Register:
-        """The thread's number; threads beyond the last end at once."""
+        """The thread's index; threads from `num_threads` on end at once."""
         block, width, place = (
             self.apply("mov.u32", "s32", name) for name in ("%ctaid.x", "%ntid.x", "%tid.x")
         )
@@ -134,13 +134,13 @@ class Writer:
         return thread
 
     def address(self, array: int, place: Register, dtype: Any) -> Register:
-        """The address of the number at a place of an array."""
+        """The address of the number at an index of an array."""
         given = self.apply("ld.param.u64", "u64", f"[array{array}]")
         begin = self.apply("cvta.to.global.u64", "u64", given)
         return self.apply("mad.wide.s32", "u64", place, str(_SIZES[kind_of(dtype)]), begin)
 
     def load(self, address: Register, place: int, dtype: Any) -> Register:
-        """A number so many places behind an address."""
+        """Loads the number `place` numbers after an address."""
         kind = kind_of(dtype)
         where = f"[{address.name}+{place * _SIZES[kind]}]"
         if kind != "pred":
@@ -149,7 +149,7 @@ class Writer:
         return self.apply("setp.ne.s32", "pred", byte, "0")
 
     def store(self, address: Register, place: int, element: Element) -> None:
-        """Writes a number so many places behind an address."""
+        """Stores a number `place` numbers after an address."""
         kind = _kind(element)
         where = f"[{address.name}+{place * _SIZES[kind]}]"
         if kind == "pred":
@@ -163,13 +163,13 @@ class Writer:
         return element if isinstance(element, Register) else self.copied(element)
 
     def copied(self, element: Element) -> Register:
-        """An element in a register of its own."""
+        """A copy of an element, in a new register."""
         copy = self.register(_kind(element))
         self.move(copy, element)
         return copy
 
     def move(self, target: Register, element: Element) -> None:
-        """Gives a register a value."""
+        """Sets a register to an element."""
         if target.kind == "pred" and isinstance(element, np.bool_):
             self.write(f"setp.eq.s32 {target.name}, {int(element)}, 1;")
         else:
@@ -178,17 +178,17 @@ class Writer:
     # Operations on numbers.
 
     def operate(self, name: str, *operands: Element) -> Element:
-        """An operation, by JAX's name for it.
+        """Applies an operation of JAX's name.
 
         Raises:
-            NotImplementedError: if there is none for such operands.
+            NotImplementedError: if there is no instruction for such operands.
         """
         kind = _kind(operands[0])
         if name in _COMPARISONS and (kind != "pred" or name in ("eq", "ne")):
             if kind == "pred" and name in ("eq", "ne"):
                 unequal = self.operate("xor", *operands)
                 return unequal if name == "ne" else self.operate("not", unequal)
-            # What is no number is unequal to everything.
+            # NaN is unequal to everything, also to itself.
             name = "neu" if (name, kind) == ("ne", "f32") else name
             return self.apply(f"setp.{name}.{kind}", "pred", *operands)
         if name not in _OPERATIONS[kind]:
@@ -196,7 +196,7 @@ class Writer:
         return self.apply(_OPERATIONS[kind][name], kind, *operands)
 
     def choose(self, condition: Element, yes: Element, no: Element) -> Element:
-        """One of two values."""
+        """One of two values, by a condition."""
         if isinstance(condition, np.bool_):
             return yes if condition else no
         kind = _kind(yes)
@@ -208,7 +208,7 @@ class Writer:
         return self.apply(f"selp.{kind}", kind, yes, no, condition)
 
     def convert(self, element: Element, kind: str) -> Element:
-        """A number as one of another kind."""
+        """Converts a number to another kind."""
         own = _kind(element)
         if own == kind:
             return element
@@ -219,21 +219,21 @@ class Writer:
             return self.operate("ne", element, _NUMBERS[own](0))
         return self.apply(_CONVERSIONS[own, kind], kind, element)
 
-    # Ways through the text.
+    # Branches and loops.
 
     def label(self) -> str:
-        """A fresh one."""
+        """A new label."""
         self._labels += 1
         return f"$place{self._labels}"
 
     def branch(self, label: str, unless: Element | None = None) -> None:
-        """Goes on at a label."""
+        """Jumps to a label, or unless a condition holds."""
         guard = "" if unless is None else f"@!{self.shown(unless)} "
         self.write(f"{guard}bra {label};")
 
     @contextlib.contextmanager
     def loop(self) -> Iterator[str]:
-        """What is written within is done again and again, until it branches to the label given."""
+        """A loop around what is written within; a branch to the label that is yielded ends it."""
         begin, end = self.label(), self.label()
         self.write(f"{begin}:")
         yield end
@@ -241,7 +241,7 @@ class Writer:
         self.write(f"{end}:")
 
     def move_all(self, targets: Sequence[Register], elements: Sequence[Element]) -> None:
-        """Gives registers their values, all at once: a value may be in one of them."""
+        """Sets registers to elements, all at once: an element may be one of the registers."""
         changed = [
             (target, element)
             for target, element in zip(targets, elements, strict=True)

@@ -1,4 +1,4 @@
-"""Sine and cosine of operations that a kernel has."""
+"""Sine and cosine in operations that our kernels support."""
 
 import math
 
@@ -18,7 +18,7 @@ def cosine(angle: jax.Array) -> jax.Array:
 
 
 def _quarter_wave(angle: jax.Array, ahead: float) -> jax.Array:
-    """The sine of an angle and so many quarters of a turn."""
+    """The sine of an angle plus `ahead` quarters of a turn."""
     quarters, odd, even = quarter_waves(angle)
     quarters = quarters + np.float32(ahead)
     halves = jnp.floor(quarters * np.float32(0.5))
@@ -28,11 +28,11 @@ def _quarter_wave(angle: jax.Array, ahead: float) -> jax.Array:
 
 
 def quarter_waves(angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """How many quarters of a turn an angle is, and sine and cosine of what is left of it.
+    """The nearest whole quarters of a turn, and sine and cosine of the rest of an angle.
 
-    What is left of the angle beyond whole quarters, found with a quarter in three pieces of few
-    bits, is at most an eighth of a turn, where short polynomials do (coefficients: S. Moshier's
-    Cephes library, sinf.c).
+    The rest is at most an eighth of a turn, where short polynomials are exact enough (coefficients:
+    S. Moshier's Cephes library, sinf.c). The quarters are subtracted in three pieces of few bits
+    each, to round less.
     """
     quarters = jax.lax.round(
         angle * np.float32(2 / math.pi), jax.lax.RoundingMethod.TO_NEAREST_EVEN

@@ -1,8 +1,8 @@
-"""Contacts of the legs with the ground: friction, and two points that do not enter it.
+"""Solves the contacts of the legs with the ground: friction, and points that must not sink in.
 
 Arrays are [slots, parts, B] where not said otherwise, those of parts alone [parts, B]. The ground
-does not move, so that parts do not feel each other here: all parts' first slots are solved at once,
-then their second ones, and so on.
+does not move, so contacts of one part do not change another's velocity: the first slots of all
+parts are solved at once, then the second ones, and so on.
 
 Source: E. Catto, "Iterative Dynamics with Temporal Coherence", 2005, and the behaviour of Box2D
 2.3's contact solver (friction first, then both points of a contact as a linear complementarity
@@ -18,9 +18,10 @@ import jax.numpy as jnp
 from hitl_jax.walker import constants, gpu
 from hitl_jax.walker.batching.compute_once import once
 from hitl_jax.walker.geometry import Pose, Speeds, Vec, cross, dot, pose, tangent
-from hitl_jax.walker.physics.manifolds import Contacts, Manifold
+from hitl_jax.walker.physics.contacts import Contacts
+from hitl_jax.walker.physics.manifolds import Manifold
 
-_WORST_CONDITION = 1000.0
+_MAX_CONDITION_NUMBER = 1000.0
 
 Pair = tuple[jax.Array, jax.Array]
 Tree = TypeVar("Tree")
@@ -28,19 +29,19 @@ Tree = TypeVar("Tree")
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Weight:
-    """How parts answer impulses.
+class InverseMasses:
+    """Inverse masses of the parts.
 
     Attributes:
-        mass: the inverse of their masses [parts, 1] [1/kg].
-        inertia: the inverse of their inertias [parts, 1] [1/(kg m²)].
+        mass: 1 / mass [parts, 1] [1/kg].
+        inertia: 1 / moment of inertia [parts, 1] [1/(kg m²)].
     """
 
     mass: jax.Array
     inertia: jax.Array
 
 
-WEIGHT = Weight(
+LEG_INVERSE_MASSES = InverseMasses(
     jnp.asarray(constants.INVERSE_MASS[1:, None], jnp.float32),
     jnp.asarray(constants.INVERSE_INERTIA[1:, None], jnp.float32),
 )
@@ -48,71 +49,76 @@ WEIGHT = Weight(
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Point:
-    """A point of a contact, for the velocity rounds; all 0 where there is none.
+class ConstraintPoint:
+    """A contact point in the velocity iterations (`b2VelocityConstraintPoint`).
+
+    All numbers are 0 where there is no point.
 
     Attributes:
         normal: from the ground to the part.
-        turn: of the part by an impulse along the normal: arm times normal [m].
-        slide: of the part by an impulse along the tangent: arm times tangent [m].
-        mass: that an impulse along the normal meets, if alone [kg].
-        slide_mass: that one along the tangent meets [kg].
+        normal_arm: cross product of arm and normal: an impulse's lever along the normal [m].
+        tangent_arm: cross product of arm and tangent [m].
+        normal_mass: effective mass along the normal, of this point alone [kg].
+        tangent_mass: effective mass along the tangent [kg].
     """
 
     normal: Vec
-    turn: jax.Array
-    slide: jax.Array
-    mass: jax.Array
-    slide_mass: jax.Array
+    normal_arm: jax.Array
+    tangent_arm: jax.Array
+    normal_mass: jax.Array
+    tangent_mass: jax.Array
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Grips:
-    """Contacts, as they are during a step's velocity rounds.
+class ContactConstraints:
+    """What stays constant of the contacts during a step's velocity iterations.
 
     Attributes:
-        weight: of the parts.
+        inverse_masses: of the parts.
         points: two.
-        matrix: how the two answer each other's impulses: xx, xy, yy.
-        inverse: of that matrix.
+        matrix: K: the points' normal velocities per unit of normal impulse: xx, xy, yy [1/kg].
+        inverse: of that matrix: xx, xy, yy [kg].
     """
 
-    weight: "Weight"
-    points: tuple[Point, Point]
+    inverse_masses: InverseMasses
+    points: tuple[ConstraintPoint, ConstraintPoint]
     matrix: tuple[jax.Array, jax.Array, jax.Array]
     inverse: tuple[jax.Array, jax.Array, jax.Array]
 
 
-def prepare(manifold: Manifold, part: Pose) -> Grips:
-    """Contacts at the beginning of velocity rounds.
+def prepare(manifold: Manifold, part: Pose) -> ContactConstraints:
+    """The constraints of contacts for the velocity iterations of a step.
 
     Args:
-        manifold: of the slots.
-        part: poses of the parts.
+        manifold: [slots, parts, B].
+        part: poses of the parts [parts, B].
 
     Returns:
-        The contacts.
+        The constraints.
     """
-    mass, inertia = WEIGHT.mass, WEIGHT.inertia
-    seen = []
-    for (normal, point, apart), valid in zip(manifold.look(part), manifold.valid, strict=True):
-        # The middle between the two skins, which is what is pushed at.
-        arm = point - normal * (0.5 * (apart + 2 * constants.SKIN)) * _sign(manifold) - part.place
-        seen.append((normal, cross(arm, normal), cross(arm, tangent(normal)), valid))
-    (_, turn_1, _, valid_1), (_, turn_2, _, valid_2) = seen
+    mass, inertia = LEG_INVERSE_MASSES.mass, LEG_INVERSE_MASSES.inertia
+    arms = []
+    for (normal, point, separation), valid in zip(
+        manifold.in_world(part), manifold.valid, strict=True
+    ):
+        # The impulse acts in the middle between the two skins.
+        to_middle = 0.5 * (separation + 2 * constants.POLYGON_RADIUS)
+        arm = point - normal * to_middle * _skin_direction(manifold) - part.place
+        arms.append((normal, cross(arm, normal), cross(arm, tangent(normal)), valid))
+    (_, turn_1, _, valid_1), (_, turn_2, _, valid_2) = arms
     xx, yy = (mass + inertia * turn * turn for turn in (turn_1, turn_2))
     xy = mass + inertia * turn_1 * turn_2
-    # Two points that say nearly the same are solved as one.
+    # Where the matrix of two points is nearly singular, the first is solved alone.
     both = valid_1 & valid_2
-    lonely = both & ~(xx * xx < _WORST_CONDITION * (xx * yy - xy * xy))
-    valid_2 &= ~lonely
-    both &= ~lonely
+    singular = both & ~(xx * xx < _MAX_CONDITION_NUMBER * (xx * yy - xy * xy))
+    valid_2 &= ~singular
+    both &= ~singular
     points = []
-    for (normal, turn, slide, _), valid in zip(seen, (valid_1, valid_2), strict=True):
+    for (normal, turn, slide, _), valid in zip(arms, (valid_1, valid_2), strict=True):
         there = valid.astype(jnp.float32)
         points.append(
-            Point(
+            ConstraintPoint(
                 normal * there,
                 turn * there,
                 slide * there,
@@ -124,29 +130,36 @@ def prepare(manifold: Manifold, part: Pose) -> Grips:
     xy = jnp.where(both, xy, 0.0)
     scale = 1.0 / (xx * yy - xy * xy)
     inverse = yy * scale, -xy * scale, xx * scale
-    return Grips(WEIGHT, (points[0], points[1]), (xx, xy, yy), inverse)
+    return ContactConstraints(LEG_INVERSE_MASSES, (points[0], points[1]), (xx, xy, yy), inverse)
 
 
-def _sign(manifold: Manifold) -> jax.Array:
-    """Along which way the skin lies: a point of the ground is moved towards the part."""
+def _skin_direction(manifold: Manifold) -> jax.Array:
+    """1 where the point is the part's and -1 where it is the ground's: the way to the middle."""
     return jnp.where(manifold.on_edge, 1.0, jnp.float32(-1.0))
 
 
-def _push(
-    speeds: Speeds, weight: Weight, point: Point, normal: jax.Array, along: jax.Array
+def _apply_impulse(
+    speeds: Speeds,
+    inverse_masses: InverseMasses,
+    point: ConstraintPoint,
+    normal: jax.Array,
+    friction: jax.Array,
 ) -> Speeds:
+    """The velocities of parts after impulses at a point, along its normal and tangent [N s]."""
     side = tangent(point.normal)
-    velocity = speeds.velocity + (point.normal * normal + side * along) * weight.mass
-    spin = speeds.spin + weight.inertia * (point.turn * normal + point.slide * along)
+    velocity = speeds.velocity + (point.normal * normal + side * friction) * inverse_masses.mass
+    spin = speeds.spin + inverse_masses.inertia * (
+        point.normal_arm * normal + point.tangent_arm * friction
+    )
     return Speeds(velocity, spin)
 
 
 def of_shins(tree: Tree, slots: int) -> Tree:
-    """The first slots of the shins alone.
+    """The shins' rows of the first slots.
 
     Args:
         tree: of arrays [slots, parts, B].
-        slots: how many.
+        slots: how many slots to take.
 
     Returns:
         Arrays [slots, 2, B].
@@ -155,96 +168,119 @@ def of_shins(tree: Tree, slots: int) -> Tree:
     return result
 
 
-def only_shins(grips: Grips, slots: int) -> Grips:
-    """The contacts in the first slots of the shins alone; see `of_shins`."""
-    weight = Weight(grips.weight.mass[1::2], grips.weight.inertia[1::2])
-    seen = of_shins((grips.points, grips.matrix, grips.inverse), slots)
-    return Grips(weight, *seen)
-
-
-def begin(grips: Grips, contacts: Contacts) -> tuple[Pair, Pair]:
-    """The impulses to begin with, along normals and of friction: those of points there are."""
-    there = [point.mass > 0 for point in grips.points]
-    normal, along = (
-        tuple(jnp.where(is_there, value, 0.0) for is_there, value in zip(there, pair, strict=True))
-        for pair in (contacts.normal, contacts.along)
+def only_shins(constraints: ContactConstraints, slots: int) -> ContactConstraints:
+    """The constraints of the shins' first slots; see `of_shins`."""
+    inverse_masses = InverseMasses(
+        constraints.inverse_masses.mass[1::2], constraints.inverse_masses.inertia[1::2]
     )
-    return normal, along  # type: ignore[return-value]
+    rows = of_shins((constraints.points, constraints.matrix, constraints.inverse), slots)
+    return ContactConstraints(inverse_masses, *rows)
 
 
-def warm(speeds: Speeds, grips: Grips, normals: Pair, alongs: Pair) -> Speeds:
-    """Velocities after the impulses to begin with."""
+def starting_impulses(constraints: ContactConstraints, contacts: Contacts) -> tuple[Pair, Pair]:
+    """The normal and friction impulses to warm start with; 0 where there is no point [N s]."""
+    there = [point.normal_mass > 0 for point in constraints.points]
+    normal, friction = (
+        tuple(jnp.where(is_there, value, 0.0) for is_there, value in zip(there, pair, strict=True))
+        for pair in (contacts.normal, contacts.friction)
+    )
+    return normal, friction  # type: ignore[return-value]
+
+
+def warm_start(
+    speeds: Speeds, constraints: ContactConstraints, normals: Pair, frictions: Pair
+) -> Speeds:
+    """The velocities of the parts after the impulses of `starting_impulses`."""
     still = jax.tree.map(jnp.zeros_like, speeds)
-    for point, normal, along in zip(grips.points, normals, alongs, strict=True):
-        pushed = _push(still, grips.weight, point, normal, along)
+    for point, normal, friction in zip(constraints.points, normals, frictions, strict=True):
+        pushed = _apply_impulse(still, constraints.inverse_masses, point, normal, friction)
         speeds = jax.tree.map(lambda speed, of_slots: speed + of_slots.sum(0), speeds, pushed)
     return speeds
 
 
-def velocity_round(
-    speeds: Speeds, grips: Grips, normal: Pair, along: Pair, unroll: bool = False
+def velocity_iteration(
+    speeds: Speeds,
+    constraints: ContactConstraints,
+    normal: Pair,
+    friction: Pair,
+    unroll: bool = False,
 ) -> tuple[Speeds, Pair, Pair]:
-    """One round over the contacts.
+    """One velocity iteration over all contacts, slot after slot.
 
     Args:
         speeds: of the parts.
-        grips: the contacts.
-        normal: impulses along the normals so far.
-        along: impulses of friction so far.
-        unroll: static; a larger program, and on a CPU a faster one.
+        constraints: of the contacts.
+        normal: accumulated impulses along the normals [N s].
+        friction: accumulated impulses along the tangents [N s].
+        unroll: static; whether the loop over slots is unrolled: a larger program, and on a CPU a
+            faster one.
 
     Returns:
-        Velocities and both kinds of impulses after it.
+        Velocities, normal impulses and friction impulses after it.
     """
 
     def one(speeds: Speeds, slot: tuple) -> tuple[Speeds, tuple[Pair, Pair]]:
-        seen, *before = slot
-        here = Grips(grips.weight, *seen)
-        if gpu.uses_four_threads():  # A thread goes by where it has no contact.
-            there = (here.points[0].mass > 0) | (here.points[1].mass > 0)
-            after = jax.lax.cond(there.any(), _solve, lambda _, *same: same, here, speeds, *before)
+        rows, *before = slot
+        here = ContactConstraints(constraints.inverse_masses, *rows)
+        if gpu.uses_four_threads():  # A thread skips a slot in which it has no contact.
+            there = (here.points[0].normal_mass > 0) | (here.points[1].normal_mass > 0)
+            after = jax.lax.cond(
+                there.any(), _solve_slot_velocities, lambda _, *same: same, here, speeds, *before
+            )
         else:
-            after = _solve(here, speeds, *before)
+            after = _solve_slot_velocities(here, speeds, *before)
         return after[0], after[1:]
 
-    slots = (grips.points, grips.matrix, grips.inverse), normal, along
+    slots = (constraints.points, constraints.matrix, constraints.inverse), normal, friction
     speeds, impulses = jax.lax.scan(one, speeds, slots, unroll=unroll)
     return speeds, *impulses
 
 
-def _solve(grip: Grips, speeds: Speeds, normal: Pair, along: Pair) -> tuple[Speeds, Pair, Pair]:
-    """One slot."""
-    slides = []
+def _solve_slot_velocities(
+    constraints: ContactConstraints, speeds: Speeds, normal: Pair, friction: Pair
+) -> tuple[Speeds, Pair, Pair]:
+    """One velocity iteration of one slot: friction, then both normals together."""
+    frictions = []
     zero = jnp.zeros_like(speeds.spin)
-    for point, press, before in zip(grip.points, normal, along, strict=True):
-        speed = dot(tangent(point.normal), speeds.velocity) + speeds.spin * point.slide
-        bound = constants.FRICTION * press
-        after = once(jnp.clip(before - point.slide_mass * speed, -bound, bound))
-        speeds = _push(speeds, grip.weight, point, zero, after - before)
-        slides.append(after)
-    one, two = grip.points
-    xx, xy, yy = grip.matrix
-    gap_1 = dot(one.normal, speeds.velocity) + speeds.spin * one.turn
-    gap_2 = dot(two.normal, speeds.velocity) + speeds.spin * two.turn
-    gap_1, gap_2 = once(
-        (gap_1 - (xx * normal[0] + xy * normal[1]), gap_2 - (xy * normal[0] + yy * normal[1]))
+    for point, pressing, before in zip(constraints.points, normal, friction, strict=True):
+        speed = dot(tangent(point.normal), speeds.velocity) + speeds.spin * point.tangent_arm
+        bound = constants.FRICTION * pressing
+        after = once(jnp.clip(before - point.tangent_mass * speed, -bound, bound))
+        speeds = _apply_impulse(speeds, constraints.inverse_masses, point, zero, after - before)
+        frictions.append(after)
+    one, two = constraints.points
+    xx, xy, yy = constraints.matrix
+    velocity_1 = dot(one.normal, speeds.velocity) + speeds.spin * one.normal_arm
+    velocity_2 = dot(two.normal, speeds.velocity) + speeds.spin * two.normal_arm
+    velocity_1, velocity_2 = once(
+        (
+            velocity_1 - (xx * normal[0] + xy * normal[1]),
+            velocity_2 - (xy * normal[0] + yy * normal[1]),
+        )
     )
-    after_1, after_2 = once(_complement(grip, gap_1, gap_2, normal))
-    speeds = _push(speeds, grip.weight, one, after_1 - normal[0], zero)
-    speeds = _push(speeds, grip.weight, two, after_2 - normal[1], zero)
-    return speeds, (after_1, after_2), (slides[0], slides[1])
+    after_1, after_2 = once(_solve_normal_impulses(constraints, velocity_1, velocity_2, normal))
+    speeds = _apply_impulse(speeds, constraints.inverse_masses, one, after_1 - normal[0], zero)
+    speeds = _apply_impulse(speeds, constraints.inverse_masses, two, after_2 - normal[1], zero)
+    return speeds, (after_1, after_2), (frictions[0], frictions[1])
 
 
-def _complement(grip: Grips, gap_1: jax.Array, gap_2: jax.Array, normal: Pair) -> Pair:
-    """Impulses x ≥ 0 with K x + gap ≥ 0, one of the two 0 at each point: the four cases in turn."""
-    _, xy, _ = grip.matrix
-    ixx, ixy, iyy = grip.inverse
-    both_1, both_2 = -(ixx * gap_1 + ixy * gap_2), -(ixy * gap_1 + iyy * gap_2)
+def _solve_normal_impulses(
+    constraints: ContactConstraints, velocity_1: jax.Array, velocity_2: jax.Array, normal: Pair
+) -> Pair:
+    """The normal impulses x of two points [N s], by trying the four cases in Box2D's order.
+
+    They solve the linear complementarity problem: x ≥ 0, K x + velocity ≥ 0, and at each point one
+    of the two is 0. Where no case fits, the impulses stay as they are.
+    """
+    _, xy, _ = constraints.matrix
+    ixx, ixy, iyy = constraints.inverse
+    both_1, both_2 = -(ixx * velocity_1 + ixy * velocity_2), -(ixy * velocity_1 + iyy * velocity_2)
     is_both = (both_1 >= 0) & (both_2 >= 0)
-    only_1, only_2 = -grip.points[0].mass * gap_1, -grip.points[1].mass * gap_2
-    is_first = (only_1 >= 0) & (xy * only_1 + gap_2 >= 0)
-    is_second = (only_2 >= 0) & (xy * only_2 + gap_1 >= 0)
-    is_none = (gap_1 >= 0) & (gap_2 >= 0)
+    one, two = constraints.points
+    only_1, only_2 = -one.normal_mass * velocity_1, -two.normal_mass * velocity_2
+    is_first = (only_1 >= 0) & (xy * only_1 + velocity_2 >= 0)
+    is_second = (only_2 >= 0) & (xy * only_2 + velocity_1 >= 0)
+    is_none = (velocity_1 >= 0) & (velocity_2 >= 0)
     after_1 = jnp.where(is_second | is_none, 0.0, normal[0])
     after_1 = jnp.where(is_both, both_1, jnp.where(is_first, only_1, after_1))
     after_2 = jnp.where(is_second, only_2, jnp.where(is_none, 0.0, normal[1]))
@@ -252,25 +288,32 @@ def _complement(grip: Grips, gap_1: jax.Array, gap_2: jax.Array, normal: Pair) -
     return after_1, after_2
 
 
-def position_round(
-    place: Vec, turn: jax.Array, manifold: Manifold, weight: Weight, firmness: float
+def position_iteration(
+    place: Vec, turn: jax.Array, manifold: Manifold, inverse_masses: InverseMasses, baumgarte: float
 ) -> tuple[Vec, jax.Array, jax.Array]:
-    """One round of lifting parts out of the ground.
+    """One position iteration over all contacts: pushes parts out of the ground, slot after slot.
 
     Args:
-        place: centres of mass of the parts.
-        turn: their angles [rad].
-        manifold: of the slots.
-        weight: of the parts.
-        firmness: the share of the depth that is taken back at once.
+        place: centres of mass of the parts [parts, B] [m].
+        turn: their angles [parts, B] [rad].
+        manifold: [slots, parts, B].
+        inverse_masses: of the parts.
+        baumgarte: the share of the depth that is corrected at once.
 
     Returns:
-        Places and turns after it, and the least distance met, at most 0 [m], [parts, B].
+        Places and angles after it, and the least separation that was met, at most 0 [parts, B]
+        [m].
     """
 
     def one(carry: tuple, here: Manifold) -> tuple[tuple, None]:
         after = jax.lax.cond(
-            here.touching.any(), _lift, lambda carry, *_: carry, carry, here, weight, firmness
+            here.touching.any(),
+            _solve_slot_positions,
+            lambda carry, *_: carry,
+            carry,
+            here,
+            inverse_masses,
+            baumgarte,
         )
         return after, None
 
@@ -278,21 +321,24 @@ def position_round(
     return carry
 
 
-def _lift(
-    carry: tuple[Vec, jax.Array, jax.Array], manifold: Manifold, weight: Weight, firmness: float
+def _solve_slot_positions(
+    carry: tuple[Vec, jax.Array, jax.Array],
+    manifold: Manifold,
+    inverse_masses: InverseMasses,
+    baumgarte: float,
 ) -> tuple[Vec, jax.Array, jax.Array]:
-    """Both points of one slot, in turn."""
+    """One position iteration of one slot: its two points, one after the other."""
     place, turn, least = carry
     for which in range(2):
-        normal, point, apart = manifold.look(pose(place, turn))[which]
-        apart = jnp.where(manifold.valid[which], apart, 0.0)
-        least = jnp.minimum(least, apart)
+        normal, point, separation = manifold.in_world(pose(place, turn))[which]
+        separation = jnp.where(manifold.valid[which], separation, 0.0)
+        least = jnp.minimum(least, separation)
         depth = jnp.clip(
-            firmness * (apart + constants.LINEAR_SLOP), -constants.MAX_LINEAR_CORRECTION, 0.0
+            baumgarte * (separation + constants.LINEAR_SLOP), -constants.MAX_LINEAR_CORRECTION, 0.0
         )
         lever = cross(point - place, normal)
-        push = once(-depth / (weight.mass + weight.inertia * lever * lever))
-        place = place + normal * (push * weight.mass)
-        turn = turn + weight.inertia * lever * push
+        push = once(-depth / (inverse_masses.mass + inverse_masses.inertia * lever * lever))
+        place = place + normal * (push * inverse_masses.mass)
+        turn = turn + inverse_masses.inertia * lever * push
         place, turn = once((place, turn))
     return place, turn, least

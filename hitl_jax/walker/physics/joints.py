@@ -1,6 +1,6 @@
-"""The four hinges: motors, limits and the point that two parts share, by sequential impulses.
+"""Solves the four joints by sequential impulses: motor, limit and shared point of two bodies.
 
-Arrays are [4 hinges, B] where not said otherwise; bodies are rows of [5, B].
+Arrays are [4 joints, B] where not said otherwise; bodies are rows of [5, B].
 
 Source: E. Catto, "Iterative Dynamics with Temporal Coherence", 2005, and the behaviour of Box2D
 2.3's revolute joint.
@@ -19,7 +19,7 @@ from hitl_jax.walker.geometry import Pose, Speeds, Vec, cross, dot, pose, vec
 
 Tree = TypeVar("Tree")
 
-_A, _B = np.array(constants.HINGES, np.int32).T
+_A, _B = np.array(constants.JOINTS, np.int32).T
 
 
 def _column(values: np.ndarray) -> jax.Array:
@@ -36,12 +36,13 @@ _REFERENCE = _column(constants.REFERENCE)
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Impulses:
-    """What the hinges did in a step, with which the next begins.
+class JointImpulses:
+    """The joints' impulses of a step, from which the next step starts (warm starting).
 
     Attributes:
-        point: that holds the two bodies together [N s].
-        limit: of the limit; above 0 at the lower one, below at the upper one [N m s].
+        point: holds the two bodies together at the joint [N s].
+        limit: holds the angle inside its limits; above 0 at the lower one, below 0 at the upper one
+            [N m s].
         motor: of the motor [N m s].
     """
 
@@ -52,53 +53,54 @@ class Impulses:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Hinges:
-    """What stays as it is during a step's velocity rounds.
+class JointConstraints:
+    """What stays constant of the joints during a step's velocity iterations.
 
     Attributes:
-        arm_a: from the first body's centre of mass to the hinge [m].
+        arm_a: from the first body's centre of mass to the joint [m].
         arm_b: from the second's.
-        side: 1 at the lower limit, -1 at the upper one, 0 between.
-        inverse: of the 2 by 2 matrix of the point: xx, xy, yy.
-        full: the inverse of the 3 by 3 matrix of point and limit: xx, xy, xz, yy, yz, zz.
+        side: 1 at the lower limit, -1 at the upper one, 0 between them.
+        point_inverse: the inverse of the 2 by 2 matrix of the point: xx, xy, yy.
+        point_limit_inverse: the inverse of the 3 by 3 matrix of point and limit: xx, xy, xz, yy,
+            yz, zz.
         coupling: of point and limit in that matrix.
         speed: the motor's [rad/s].
-        strength: the most the motor gives in a step [N m s].
+        max_motor_impulse: the most that the motor gives in a step [N m s].
     """
 
     arm_a: Vec
     arm_b: Vec
     side: jax.Array
-    inverse: tuple[jax.Array, jax.Array, jax.Array]
-    full: tuple[jax.Array, ...]
+    point_inverse: tuple[jax.Array, jax.Array, jax.Array]
+    point_limit_inverse: tuple[jax.Array, ...]
     coupling: Vec
     speed: jax.Array
-    strength: jax.Array
+    max_motor_impulse: jax.Array
 
 
 def angles(angle: jax.Array) -> jax.Array:
-    """The hinges' angles [4, B] from those of the bodies [5, B] [rad]."""
+    """The joints' angles [4, B] from those of the bodies [5, B] [rad]."""
     return angle[_B] - angle[_A] - _REFERENCE
 
 
 def speeds(spin: jax.Array) -> jax.Array:
-    """How fast the hinges turn [4, B] [rad/s]."""
+    """How fast the joints turn [4, B] [rad/s]."""
     return spin[_B] - spin[_A]
 
 
-def prepare(body: Pose, angle: jax.Array, speed: jax.Array, torque: jax.Array) -> Hinges:
-    """The hinges at the beginning of a step.
+def prepare(body: Pose, angle: jax.Array, speed: jax.Array, torque: jax.Array) -> JointConstraints:
+    """The constraints of the joints for the velocity iterations of a step.
 
     Args:
         body: poses of the bodies, [5, B].
         angle: of the bodies [5, B] [rad].
-        speed: of the motors [rad/s].
-        torque: the most the motors give [N m].
+        speed: of the motors [4, B] [rad/s].
+        torque: the most that the motors give [4, B] [N m].
 
     Returns:
-        The hinges.
+        The constraints.
     """
-    arm_a, arm_b = _turned(body, _A, _ANCHOR_A), _turned(body, _B, _ANCHOR_B)
+    arm_a, arm_b = _rotated(body, _A, _ANCHOR_A), _rotated(body, _B, _ANCHOR_B)
     now = angles(angle)
     beyond = jnp.where(now >= _UPPER, np.float32(-1.0), 0.0)
     side = jnp.where(now <= _LOWER, 1.0, beyond)
@@ -107,25 +109,26 @@ def prepare(body: Pose, angle: jax.Array, speed: jax.Array, torque: jax.Array) -
         -arm_a.y * _INERTIA_A - arm_b.y * _INERTIA_B, arm_a.x * _INERTIA_A + arm_b.x * _INERTIA_B
     )
     zz = _INERTIA_A + _INERTIA_B
-    return Hinges(
+    return JointConstraints(
         arm_a=arm_a,
         arm_b=arm_b,
         side=side,
-        inverse=_inverse_2(xx, xy, yy),
-        full=_inverse_3(xx, xy, coupling.x, yy, coupling.y, zz),
+        point_inverse=_inverse_2(xx, xy, yy),
+        point_limit_inverse=_inverse_3(xx, xy, coupling.x, yy, coupling.y, zz),
         coupling=coupling,
         speed=speed,
-        strength=constants.SECONDS * torque,
+        max_motor_impulse=constants.SECONDS * torque,
     )
 
 
-def _turned(body: Pose, rows: np.ndarray, local: Vec) -> Vec:
+def _rotated(body: Pose, rows: np.ndarray, local: Vec) -> Vec:
+    """Vectors in the frames of some bodies, in the world."""
     cos, sin = body.cos[rows], body.sin[rows]
     return Vec(cos * local.x - sin * local.y, sin * local.x + cos * local.y)
 
 
 def _point_matrix(arm_a: Vec, arm_b: Vec) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """How a point answers an impulse: xx, xy, yy."""
+    """K of the point: its velocity per unit of impulse there: xx, xy, yy [1/kg]."""
     mass = _MASS_A + _MASS_B
     xx = mass + arm_a.y * arm_a.y * _INERTIA_A + arm_b.y * arm_b.y * _INERTIA_B
     xy = -arm_a.y * arm_a.x * _INERTIA_A - arm_b.y * arm_b.x * _INERTIA_B
@@ -149,25 +152,29 @@ def _inverse_3(
     return a * scale, b * scale, c * scale, d * scale, e * scale, f * scale
 
 
-def begin(hinges: Hinges, impulses: Impulses) -> Impulses:
-    """The impulses to begin with: that of a limit which no longer holds is dropped."""
-    holds = hinges.side * impulses.limit > 0
-    return Impulses(impulses.point, jnp.where(holds, impulses.limit, 0.0), impulses.motor)
+def starting_impulses(constraints: JointConstraints, impulses: JointImpulses) -> JointImpulses:
+    """The impulses to warm start with; a limit that the joint has left starts from 0."""
+    holds = constraints.side * impulses.limit > 0
+    return JointImpulses(impulses.point, jnp.where(holds, impulses.limit, 0.0), impulses.motor)
 
 
-def _push(
-    index: int, pair: tuple[Speeds, Speeds], hinge: Hinges, point: Vec, turn: jax.Array
+def _apply_impulse(
+    index: int,
+    pair: tuple[Speeds, Speeds],
+    constraint: JointConstraints,
+    point: Vec,
+    turn: jax.Array,
 ) -> tuple[Speeds, Speeds]:
-    """The two bodies of a hinge after an impulse at it and a turning one."""
-    first, second = constants.HINGES[index]
+    """The velocities of a joint's two bodies after an impulse and an angular impulse at it."""
+    first, second = constants.JOINTS[index]
     mass, inertia = constants.INVERSE_MASS, constants.INVERSE_INERTIA
     a, b = pair
     return Speeds(
         a.velocity - point * float(mass[first]),
-        a.spin - float(inertia[first]) * (cross(hinge.arm_a, point) + turn),
+        a.spin - float(inertia[first]) * (cross(constraint.arm_a, point) + turn),
     ), Speeds(
         b.velocity + point * float(mass[second]),
-        b.spin + float(inertia[second]) * (cross(hinge.arm_b, point) + turn),
+        b.spin + float(inertia[second]) * (cross(constraint.arm_b, point) + turn),
     )
 
 
@@ -176,109 +183,111 @@ def _row(tree: Tree, index: int) -> Tree:
     return result
 
 
-def warm(rows: list[Speeds], hinges: Hinges, impulses: Impulses) -> list[Speeds]:
-    """Velocities after the impulses to begin with."""
+def warm_start(
+    rows: list[Speeds], constraints: JointConstraints, impulses: JointImpulses
+) -> list[Speeds]:
+    """The bodies' velocities after the impulses of `starting_impulses`."""
     rows = list(rows)
-    for index in constants.HINGE_ORDER:
-        first, second = constants.HINGES[index]
-        begun = _row(impulses, index)
-        rows[first], rows[second] = _push(
+    for index in constants.JOINT_ORDER:
+        first, second = constants.JOINTS[index]
+        start = _row(impulses, index)
+        rows[first], rows[second] = _apply_impulse(
             index,
             (rows[first], rows[second]),
-            _row(hinges, index),
-            begun.point,
-            begun.motor + begun.limit,
+            _row(constraints, index),
+            start.point,
+            start.motor + start.limit,
         )
     return rows
 
 
-def velocity_round(
-    rows: list[Speeds], hinges: Hinges, impulses: list[Impulses]
-) -> tuple[list[Speeds], list[Impulses]]:
-    """One round over the hinges.
+def velocity_iteration(
+    rows: list[Speeds], constraints: JointConstraints, impulses: list[JointImpulses]
+) -> tuple[list[Speeds], list[JointImpulses]]:
+    """One velocity iteration over all joints, in Box2D's order.
 
     Args:
         rows: velocities of the five bodies.
-        hinges: that do not change.
-        impulses: so far, one for each hinge, [B].
+        constraints: of the joints [4, B].
+        impulses: accumulated, one for each joint, [B].
 
     Returns:
         Velocities and impulses after it.
     """
     rows, impulses = list(rows), list(impulses)
-    for index in constants.HINGE_ORDER:
-        first, second = constants.HINGES[index]
-        (rows[first], rows[second]), impulses[index] = solve(
-            index, (rows[first], rows[second]), _row(hinges, index), impulses[index]
+    for index in constants.JOINT_ORDER:
+        first, second = constants.JOINTS[index]
+        (rows[first], rows[second]), impulses[index] = solve_velocities(
+            index, (rows[first], rows[second]), _row(constraints, index), impulses[index]
         )
     return rows, impulses
 
 
-def solve(
-    index: int, pair: tuple[Speeds, Speeds], hinge: Hinges, before: Impulses
-) -> tuple[tuple[Speeds, Speeds], Impulses]:
-    """One hinge in a round: the motor, then point and limit together.
+def solve_velocities(
+    index: int, pair: tuple[Speeds, Speeds], constraint: JointConstraints, before: JointImpulses
+) -> tuple[tuple[Speeds, Speeds], JointImpulses]:
+    """One velocity iteration of one joint: the motor, then point and limit together.
 
     Args:
-        index: which hinge; the legs are alike.
+        index: which joint; those of the two legs have equal constants.
         pair: velocities of its two bodies.
-        hinge: its own row of the hinges.
-        before: its impulses so far.
+        constraint: of this joint, [B].
+        before: its accumulated impulses.
 
     Returns:
         The pair and the impulses after it.
     """
-    first, second = constants.HINGES[index]
+    first, second = constants.JOINTS[index]
     motor_mass = float(1.0 / (constants.INVERSE_INERTIA[first] + constants.INVERSE_INERTIA[second]))
-    strength = hinge.strength
-    slip = pair[1].spin - pair[0].spin - hinge.speed
-    motor = once(jnp.clip(before.motor - motor_mass * slip, -strength, strength))
+    max_motor_impulse = constraint.max_motor_impulse
+    slip = pair[1].spin - pair[0].spin - constraint.speed
+    motor = once(jnp.clip(before.motor - motor_mass * slip, -max_motor_impulse, max_motor_impulse))
     zero = jnp.zeros_like(motor)
-    a, b = _push(index, pair, hinge, Vec(zero, zero), motor - before.motor)
+    a, b = _apply_impulse(index, pair, constraint, Vec(zero, zero), motor - before.motor)
 
-    arm_a, arm_b = hinge.arm_a, hinge.arm_b
+    arm_a, arm_b = constraint.arm_a, constraint.arm_b
     x = b.velocity.x - b.spin * arm_b.y - a.velocity.x + a.spin * arm_a.y
     y = b.velocity.y + b.spin * arm_b.x - a.velocity.y - a.spin * arm_a.x
     x, y, z = once((x, y, b.spin - a.spin))
-    side, limit = hinge.side, before.limit
-    xx, xy, xz, yy, yz, zz = hinge.full
+    side, limit = constraint.side, before.limit
+    xx, xy, xz, yy, yz, zz = constraint.point_limit_inverse
     turn = -(xz * x + yz * y + zz * z)
     holds = (side != 0) & (side * (limit + turn) >= 0)
     turn = jnp.where(holds, turn, -limit)
-    # Where the limit would pull it lets go, and the point is solved without it.
-    alone_x, alone_y = limit * hinge.coupling.x - x, limit * hinge.coupling.y - y
-    pxx, pxy, pyy = hinge.inverse
+    # A limit only pushes: where it would pull, its impulse becomes 0 and the point is solved alone.
+    alone_x, alone_y = limit * constraint.coupling.x - x, limit * constraint.coupling.y - y
+    pxx, pxy, pyy = constraint.point_inverse
     point = Vec(
         jnp.where(holds, -(xx * x + xy * y + xz * z), pxx * alone_x + pxy * alone_y),
         jnp.where(holds, -(xy * x + yy * y + yz * z), pxy * alone_x + pyy * alone_y),
     )
     point, turn = once((point, turn))
-    pair = _push(index, (a, b), hinge, point, turn)
-    return pair, Impulses(before.point + point, limit + turn, motor)
+    pair = _apply_impulse(index, (a, b), constraint, point, turn)
+    return pair, JointImpulses(before.point + point, limit + turn, motor)
 
 
-Placed = tuple[Vec, jax.Array]
-"""Where a body's centre of mass is [m], and its angle [rad]."""
+BodyPosition = tuple[Vec, jax.Array]
+"""Place of a body's centre of mass [m], and the body's angle [rad]."""
 
 
-def position_round(
+def position_iteration(
     places: list[Vec], turns: list[jax.Array], side: jax.Array
 ) -> tuple[list[Vec], list[jax.Array], jax.Array]:
-    """One round of putting the bodies of each hinge together again.
+    """One position iteration over all joints: corrects limits and points, in Box2D's order.
 
     Args:
         places: centres of mass of the five bodies, [B] each.
         turns: their angles [rad].
-        side: of the limits, as `Hinges.side`.
+        side: of the limits, as `JointConstraints.side`.
 
     Returns:
-        Places and turns after it, and whether all was well before, bool [B].
+        Places and angles after it, and whether all errors were within tolerance before, bool [B].
     """
     bodies = list(zip(places, turns, strict=True))
     good = jnp.ones(side.shape[1:], bool)
-    for index in constants.HINGE_ORDER:
-        first, second = constants.HINGES[index]
-        (bodies[first], bodies[second]), was_good = join(
+    for index in constants.JOINT_ORDER:
+        first, second = constants.JOINTS[index]
+        (bodies[first], bodies[second]), was_good = solve_positions(
             index, (bodies[first], bodies[second]), side[index], float(constants.REFERENCE[index])
         )
         good &= was_good
@@ -286,21 +295,24 @@ def position_round(
     return [place for place, _ in bodies], [turn for _, turn in bodies], good
 
 
-def join(
-    index: int, pair: tuple[Placed, Placed], side: jax.Array, reference: jax.Array | float
-) -> tuple[tuple[Placed, Placed], jax.Array]:
-    """Puts the two bodies of a hinge together again.
+def solve_positions(
+    index: int,
+    pair: tuple[BodyPosition, BodyPosition],
+    side: jax.Array,
+    reference: jax.Array | float,
+) -> tuple[tuple[BodyPosition, BodyPosition], jax.Array]:
+    """One position iteration of one joint: corrects its limit, then its point.
 
     Args:
-        index: which hinge; the legs are alike.
+        index: which joint; those of the two legs have equal constants.
         pair: its two bodies.
-        side: of its limit, as `Hinges.side`.
-        reference: what counts as its angle 0 [rad].
+        side: of its limit, as `JointConstraints.side`.
+        reference: the difference of the bodies' angles at joint angle 0 [rad].
 
     Returns:
-        The two bodies after it, and whether all was well before, bool.
+        The two bodies after it, and whether its errors were within tolerance before, bool.
     """
-    first, second = constants.HINGES[index]
+    first, second = constants.JOINTS[index]
     inertia_a, inertia_b = (float(constants.INVERSE_INERTIA[body]) for body in (first, second))
     mass_a, mass_b = (float(constants.INVERSE_MASS[body]) for body in (first, second))
     motor_mass = 1.0 / (inertia_a + inertia_b)
@@ -316,8 +328,8 @@ def join(
     turn = side * motor_mass * excess
     turn_a, turn_b = once((turn_a - inertia_a * turn, turn_b + inertia_b * turn))
 
-    arm_a = pose(place_a, turn_a).turned(vec(constants.ANCHORS[index, 0]))
-    arm_b = pose(place_b, turn_b).turned(vec(constants.ANCHORS[index, 1]))
+    arm_a = pose(place_a, turn_a).world_vector(vec(constants.ANCHORS[index, 0]))
+    arm_b = pose(place_b, turn_b).world_vector(vec(constants.ANCHORS[index, 1]))
     apart = place_b + arm_b - place_a - arm_a
     arm_a, arm_b, apart = once((arm_a, arm_b, apart))
     good &= dot(apart, apart) <= constants.LINEAR_SLOP**2

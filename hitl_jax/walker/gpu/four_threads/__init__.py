@@ -1,1 +1,1 @@
-"""What has not run on a GPU: four threads that share a walker, small blocks, other sines."""
+"""The version for GPUs with four threads per walker. It compiles; it has not run on a GPU."""

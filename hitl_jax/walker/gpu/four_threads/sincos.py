@@ -1,4 +1,4 @@
-"""Sine and cosine that find the quarter of a turn by whole numbers, without rounding again."""
+"""Sine and cosine that find the quarter of a turn with integers, without another rounding."""
 
 import jax
 import jax.numpy as jnp
@@ -7,17 +7,17 @@ from hitl_jax.walker.gpu.sincos import quarter_waves
 
 
 def sine(angle: jax.Array) -> jax.Array:
-    """As `hitl_jax.walker.gpu.sincos.sine`."""
+    """The sine; see `hitl_jax.walker.gpu.sincos.sine`."""
     return _quarter_wave(angle, 0)
 
 
 def cosine(angle: jax.Array) -> jax.Array:
-    """As `hitl_jax.walker.gpu.sincos.cosine`."""
+    """The cosine; see `hitl_jax.walker.gpu.sincos.cosine`."""
     return _quarter_wave(angle, 1)
 
 
 def _quarter_wave(angle: jax.Array, ahead: int) -> jax.Array:
-    """The sine of an angle and so many quarters of a turn."""
+    """The sine of an angle plus `ahead` quarters of a turn."""
     quarters, odd, even = quarter_waves(angle)
     place = quarters.astype(jnp.int32) + ahead
     wave = jnp.where(place & 1 > 0, even, odd)

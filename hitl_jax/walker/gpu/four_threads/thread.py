@@ -1,8 +1,8 @@
-"""Threads of a walker that are neighbours and tell each other, and blocks of few of them.
+"""Writes threads that exchange numbers with the other threads of their walker.
 
-Where a walker has two by two threads, `jnp.flip` over one of their axes is an exchange: each thread
-gets the number of the other. All threads must come to it, so loops go round as often as any thread
-nearby needs, and no exchange may be in a branch.
+Where a walker has two by two threads, `jnp.flip` over one of their axes is an exchange: each
+thread gets the number of the other (a warp shuffle). All threads of a warp must reach it, so a loop
+runs as often as any of them needs, and no exchange may be in a branch.
 """
 
 import math
@@ -11,35 +11,36 @@ from typing import Any
 import numpy as np
 
 from hitl_jax.walker.gpu.four_threads.sincos import cosine, sine
-from hitl_jax.walker.gpu.jaxpr_to_ptx import Thread, array_of, elements_of
-from hitl_jax.walker.gpu.ptx import Element, Register, Writer
+from hitl_jax.walker.gpu.jaxpr_to_ptx import ThreadWriter
+from hitl_jax.walker.gpu.lanes import WARP
+from hitl_jax.walker.gpu.ptx import Element, PtxWriter, Register
+from hitl_jax.walker.gpu.registers import array_of, elements_of
 
-_WARP = 32
-_BLOCKS_OF_A_CORE = 8
-"""Two for each of its schedulers. With fewer walkers than that takes, blocks are smaller: the
-threads of one wait for its slowest, and take each other's branches."""
+_BLOCKS_PER_CORE = 8
+"""Two for each scheduler of a multiprocessor. Blocks are small while there are fewer: the threads
+of a block wait for its slowest one, and run each other's branches."""
 
 
-class NeighbourThread(Thread):
-    """Writes what one of a walker's threads does; all of them are in one block."""
+class ExchangingThreadWriter(ThreadWriter):
+    """Writes one of a walker's threads; all of a walker's threads are in one block."""
 
-    def __init__(self, writer: Writer, lanes: tuple[int, ...]):
-        """As for `Thread`."""
+    def __init__(self, writer: PtxWriter, lanes: tuple[int, ...]):
+        """See `ThreadWriter`."""
         super().__init__(writer, lanes)
         self._exchanges = lanes[:-1] == (2, 2)
-        self._alone = False
-        """Whether a thread may be where its neighbours are not."""
+        self._in_branch = False
+        """Whether the other threads may be at another place of the program."""
 
     @staticmethod
     def block_size(threads: int, parts: int, cores: int) -> int:
-        """Threads of a block; a walker's, a power of 2, stay together."""
+        """Threads in a block; a walker's threads, a power of 2, are in one block."""
         block = parts
-        while block < _WARP and threads > block * cores * _BLOCKS_OF_A_CORE:
+        while block < WARP and threads > block * cores * _BLOCKS_PER_CORE:
             block *= 2
         return block
 
     def begin(self, batch: int) -> Register:
-        """The place of the thread's number in an array [parts, batch]."""
+        """Begins the kernel: the index of the thread's number in an array [parts, batch]."""
         writer, parts = self._writer, math.prod(self._lanes[:-1])
         thread = writer.begin(batch * parts)
         self._part = writer.apply("rem.s32", "s32", thread, str(parts))
@@ -53,16 +54,16 @@ class NeighbourThread(Thread):
         return self.traced(cosine, eqn, given)
 
     def _exchanged(self, value: np.ndarray, axis: int) -> np.ndarray:
-        if not self._exchanges or self._lanes[axis] != 2 or self._alone:
+        if not self._exchanges or self._lanes[axis] != 2 or self._in_branch:
             raise NotImplementedError(f"axis {axis} of {self._lanes} flipped, or in a branch")
         distance = math.prod(self._lanes[axis + 1 : -1])
         others = [self._of_other(element, distance) for element in elements_of(value)]
         return array_of(others, value.shape)
 
     def _of_other(self, element: Element, distance: int) -> Element:
-        """The number of the thread whose own differs by one bit, worth a distance.
+        """The other thread's number; the two threads' own indices differ by `distance`, one bit.
 
-        Threads that a block does not have, or that have ended, are not waited for.
+        The hardware does not wait for threads that do not exist or have ended.
         """
         if not isinstance(element, Register):
             return element
@@ -74,13 +75,13 @@ class NeighbourThread(Thread):
         )
 
     def _goes_on(self, wanted: Element) -> Element:
-        if not self._exchanges or self._alone:
+        if not self._exchanges or self._in_branch:
             return wanted
         held = self._writer.held(wanted)
         return self._writer.apply("vote.sync.any.pred", "pred", held, "-1")
 
     def _cond(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
-        before, self._alone = self._alone, True
+        before, self._in_branch = self._in_branch, True
         results = super()._cond(eqn, given)
-        self._alone = before
+        self._in_branch = before
         return results
