@@ -1,4 +1,7 @@
-"""One walker in this process, whose bodies can be seen: by the lean pool's rules."""
+"""One Box2D walker in this process, with its bodies and terrain for drawing.
+
+It plays as a walker of the lean pool does.
+"""
 
 from typing import Any, NamedTuple
 
@@ -10,20 +13,20 @@ from hitl_jax.envs.shared import SharedArrays
 from hitl_jax.walker import bipedal
 
 LIDAR = slice(14, 24)
-"""Of an observation: shares of the rays."""
+"""Where an observation has the lidar: the share of its range that each ray reaches."""
 
 FEET = (8, 13)
-"""Of an observation: whether each foot stands."""
+"""Where an observation has whether each foot touches the ground."""
 
 
-class Answer(NamedTuple):
-    """What came of a step.
+class StepResult(NamedTuple):
+    """The result of a step.
 
     Attributes:
-        observation: [24].
+        observation: s_{t+1}, [24].
         reward: r(s, a).
         terminated: whether the walker fell or reached the end.
-        truncated: whether that was the last step an episode may have.
+        truncated: whether the time limit was reached.
     """
 
     observation: np.ndarray
@@ -32,11 +35,11 @@ class Answer(NamedTuple):
     truncated: bool
 
 
-class Plant:
-    """The walker of a live session."""
+class VisibleWalker:
+    """Plays one walker, step by step."""
 
     def __init__(self) -> None:
-        """Waits for the first reset.
+        """Makes the walker; `reset` begins its first episode.
 
         Raises:
             ImportError: if Box2D is missing; one line that says what to install.
@@ -56,20 +59,20 @@ class Plant:
         )
 
     def reset(self, seed: int) -> np.ndarray:
-        """Begins the episode of a seed; the first observation, [24]."""
+        """Begins the episode of a seed; its first observation, [24]."""
         self._arrays.seed[0] = seed
         return self._tick(Command.RESET).observation
 
-    def step(self, action: np.ndarray) -> Answer:
-        """One step of 0.02 s with an action, [4]."""
+    def step(self, action: np.ndarray) -> StepResult:
+        """Plays one step of 0.02 s with an action, [4]."""
         self._arrays.action[0] = action
         return self._tick(Command.STEP)
 
-    def _tick(self, command: int) -> Answer:
+    def _tick(self, command: int) -> StepResult:
         arrays = self._arrays
         arrays.command[0] = command
         self._walkers.tick(arrays)
-        return Answer(
+        return StepResult(
             arrays.observation[0].copy(),
             float(arrays.reward[0]),
             bool(arrays.terminated[0]),
@@ -87,7 +90,7 @@ class Plant:
 
 
 def shapes() -> dict[str, Any]:
-    """What does not move in the frame of its body: outlines [m], rays, and where the goal is."""
+    """What stays the same in an episode: outlines [m], lidar rays [rad, m] and the goal [m]."""
     return {
         "shapes": outlines(),
         "lidar": {"angles": list(bipedal.LIDAR_ANGLES), "range": bipedal.LIDAR_RANGE},

@@ -63,7 +63,7 @@ def test_a_journal_plays_the_session_again(tmp_path):
     noted.close()
     assert all(json.loads(line) for line in path.read_text().splitlines())
     # What stands of each frame that is kept is what the labels say.
-    kept = range(again.frame.number - again._books.size + 1, again.frame.number)
+    kept = range(again.oldest_frame, again.frame.number)
     said = judged(again.labels, kept.start, kept.stop)
     for number, dangerous in zip(kept, said, strict=True):
         assert again.flag("dangerous", number) == (dangerous and again.flag("live", number))

@@ -14,8 +14,9 @@ from websockets.exceptions import ConnectionClosed
 
 from hitl_jax.errors import ResultsError
 from hitl_jax.live import journal, server
-from hitl_jax.live.pacing import Conductor, Manners
-from hitl_jax.live.server import LONGEST_MESSAGE, Live, Outbox, Rate
+from hitl_jax.live.pacing import PacedSession
+from hitl_jax.live.page_updates import PageOptions
+from hitl_jax.live.server import MAX_MESSAGE_BYTES, Outbox, PageServer, RateLimit
 from hitl_jax.live.session import Session
 
 
@@ -131,15 +132,15 @@ def test_the_page_works_behind_a_tunnel_from_another_port(served, host):
     ],
 )
 def test_only_a_page_of_the_host_that_is_asked_may_speak(host, origin, own):
-    assert server.is_own(Headers({"host": host, "origin": origin})) == own
+    assert server.is_same_origin(Headers({"host": host, "origin": origin})) == own
 
 
 def test_who_is_no_page_may_speak_and_who_says_two_things_may_not():
     host = (b"host", b"localhost:8765")
     origin = (b"origin", b"http://localhost:8765")
-    assert server.is_own(Headers(raw=[host]))
-    assert server.is_own(Headers(raw=[host, origin]))
-    assert not server.is_own(Headers(raw=[host, origin, origin]))
+    assert server.is_same_origin(Headers(raw=[host]))
+    assert server.is_same_origin(Headers(raw=[host, origin]))
+    assert not server.is_same_origin(Headers(raw=[host, origin, origin]))
 
 
 _UPGRADE = (
@@ -268,7 +269,7 @@ def test_one_controls_and_others_watch(served):
 
 
 def test_who_watches_has_the_controls_after_a_while(served, monkeypatch):
-    monkeypatch.setattr(server, "_GRACE", 0.1)
+    monkeypatch.setattr(server, "_RECONNECT_SECONDS", 0.1)
     with served.open() as first, served.open() as second:
         assert _until(second, "hello")["role"] == "watcher"
         first.close()
@@ -283,9 +284,9 @@ def test_a_lost_page_lets_go_of_the_controls(served):
         _say(page, "take", frame=frame["n"])
         _until(page, "frame", lambda m: m["control"] == "person")
     end = time.monotonic() + 10
-    while served.session.controls and time.monotonic() < end:
+    while served.session.person.in_control and time.monotonic() < end:
         time.sleep(0.02)
-    assert not served.session.controls
+    assert not served.session.person.in_control
     # What was said stands.
     assert [label.kind for label in served.session.labels if label.kind != "nobody"] == ["take"]
 
@@ -295,7 +296,7 @@ def test_nonsense_and_floods_are_bounded_and_harm_nothing(served):
         _until(page, "frame", lambda m: m["n"] > 3)
         page.send("nonsense")
         assert _until(page, "error")["message"] == "a message: is not JSON"
-        page.send("x" * (LONGEST_MESSAGE + 1))
+        page.send("x" * (MAX_MESSAGE_BYTES + 1))
         assert _refusal(page)[0] == 1009
     with served.open() as page, contextlib.suppress(ConnectionClosed):
         for _ in range(2000):
@@ -347,17 +348,17 @@ def test_what_cannot_be_noted_is_not_played(tmp_path, monkeypatch):
 
     noted = journal.Journal(tmp_path / "journal.jsonl")
     monkeypatch.setattr(journal.os, "write", full)
-    conductor = Conductor(Session(setup_of()), noted, Manners("train", "", False, 1.0))
+    paced = PacedSession(Session(setup_of()), noted, PageOptions("train", "", False, 1.0))
     told = []
-    conductor.listen(told.append)
-    conductor.come()
-    conductor.say({"type": "seen", "frame": 0})
-    live = Live(conductor, TOKEN)
+    paced.add_listener(told.append)
+    paced.connect_person()
+    paced.handle({"type": "seen", "frame": 0})
+    page = PageServer(paced, TOKEN)
     with (
         socket.create_server(("127.0.0.1", 0)) as listening,
         pytest.raises(ResultsError, match="No space left on device"),
     ):
-        asyncio.run(live.serve(live.server(), listening))
+        asyncio.run(page.serve(page.server(), listening))
     noted.close()
     assert told[-1]["type"] == "error"
     assert "No space left on device" in told[-1]["message"]
@@ -366,11 +367,11 @@ def test_what_cannot_be_noted_is_not_played(tmp_path, monkeypatch):
 def test_what_a_person_says_and_cannot_be_noted_ends_the_session(tmp_path, monkeypatch):
     noted = journal.Journal(tmp_path / "journal.jsonl")
     monkeypatch.setattr(journal.os, "write", lambda *_: 0)
-    conductor = Conductor(Session(setup_of()), noted, Manners("train", "", False, 1.0))
-    conductor.say({"type": "undo"})
+    paced = PacedSession(Session(setup_of()), noted, PageOptions("train", "", False, 1.0))
+    paced.handle({"type": "undo"})
     noted.close()
     with pytest.raises(ResultsError, match="No space left on device"):
-        asyncio.run(conductor.run())
+        asyncio.run(paced.run())
 
 
 def test_a_slow_page_holds_nobody_up():
@@ -386,7 +387,7 @@ def test_a_slow_page_holds_nobody_up():
 
 
 def test_messages_are_counted_by_the_second():
-    rate = Rate(10)
+    rate = RateLimit(10)
     assert sum(rate.allows() for _ in range(100)) == 10
     time.sleep(0.25)
     assert rate.allows()

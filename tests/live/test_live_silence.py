@@ -12,10 +12,11 @@ from live_team import HYPER, Served, play, setup_of, stored
 from hitl_jax.commands import recorded
 from hitl_jax.evaluation.trials import frozen
 from hitl_jax.live import journal, messages, pacing
-from hitl_jax.live.attention import Attention
 from hitl_jax.live.labels import Label, judged, unjudged
-from hitl_jax.live.pacing import Conductor, Manners
+from hitl_jax.live.pacing import PacedSession
+from hitl_jax.live.page_updates import PageOptions
 from hitl_jax.live.session import Session
+from hitl_jax.live.silence_timer import SilenceTimer
 
 _LIMIT = 1.0
 _FRAME = 1 / pacing.RATE
@@ -34,8 +35,8 @@ class _Selector(selectors.DefaultSelector):
 class _Page:
     """A page of a session in time that passes at once; it shows each frame a little later."""
 
-    def __init__(self, team, late=0.02):
-        self.conductor, self.late, self.dead, self.told = team, late, False, []
+    def __init__(self, paced, late=0.02):
+        self.paced, self.late, self.dead, self.told = paced, late, False, []
 
     def hear(self, message):
         self.told.append(message)
@@ -47,29 +48,29 @@ class _Page:
         """Says something, unless its process stands still."""
         if not self.dead:
             said = fields if frame is None else {**fields, "frame": frame}
-            self.conductor.say(messages.parse(json.dumps({"type": kind, **said})))
+            self.paced.handle(messages.parse(json.dumps({"type": kind, **said})))
 
     def last(self, kind):
         return next(m for m in reversed(self.told) if m["type"] == kind)
 
 
 class _Live:
-    """What a test sees: the session, who conducts it, and the page that controls."""
+    """What a test sees: the session, its pace, and the page that controls."""
 
-    def __init__(self, session, noted, selector, manners):
-        self.session, self.conductor = session, Conductor(session, noted, manners)
-        self.selector, self.page = selector, _Page(self.conductor)
+    def __init__(self, session, noted, selector, options):
+        self.session, self.paced = session, PacedSession(session, noted, options)
+        self.selector, self.page = selector, _Page(self.paced)
 
     def come(self, page):
         """A page opens and has the controls."""
         self.page = page
-        self.conductor.listen(page.hear)
-        self.conductor.come()
+        self.paced.add_listener(page.hear)
+        self.paced.connect_person()
 
     def go(self):
         """It closes."""
-        self.conductor.forget(self.page.hear)
-        self.conductor.leave()
+        self.paced.remove_listener(self.page.hear)
+        self.paced.disconnect_person()
 
     @property
     def number(self):
@@ -86,7 +87,7 @@ def live(tmp_path, monkeypatch):
         noted = journal.Journal(path)
         noted.begin({})
         selector = _Selector()
-        one = _Live(Session(setup), noted, selector, Manners(mode, "", asks, 5.0, _LIMIT))
+        one = _Live(Session(setup), noted, selector, PageOptions(mode, "", asks, 5.0, _LIMIT))
 
         def begin():
             loop = asyncio.SelectorEventLoop(selector)
@@ -94,7 +95,7 @@ def live(tmp_path, monkeypatch):
             return loop
 
         async def play_it():
-            playing = asyncio.create_task(one.conductor.run())
+            playing = asyncio.create_task(one.paced.run())
             one.come(one.page)
             await asyncio.sleep(0.5)
             await happens(one)
@@ -128,12 +129,12 @@ def test_danger_and_control_that_are_held_by_nobody_end(live):
         one.page.say("take", one.number)
         one.page.say("hands", action=[1, 0, 0, 0])
         await asyncio.sleep(0.5)
-        assert one.session.controls
+        assert one.session.person.in_control
         one.page.dead = True
         one.seen = one.number - 1
         await asyncio.sleep(40)
-        assert not one.session.controls
-        assert not one.session.dangerous
+        assert not one.session.person.in_control
+        assert not one.session.person.dangerous
         one.stop = one.number
         assert one.stop - one.seen == _SILENT_FRAMES
         await asyncio.sleep(400)
@@ -150,10 +151,10 @@ def test_danger_and_control_that_are_held_by_nobody_end(live):
     assert not judged(session.labels, first, one.stop).any()
     assert judged(session.labels, first - 10, first).all()
     # It was played as it was, but it is no intervention that is punished, and moves no boundary.
-    frames = session._books.frames(first, one.stop)
+    frames = session.frames(first, one.stop)
     assert (frames[:, layout.action] == [1, 0, 0, 0]).all()
     assert (frames[:, layout.reward] > -19).any()
-    assert (session._books.frames(first - 10, first)[:, layout.reward] < -19).all()
+    assert (session.frames(first - 10, first)[:, layout.reward] < -19).all()
     assert (frames[:, layout.boundary] == frames[:, layout.next_boundary]).all()
     assert (frames[:, layout.boundary_reward] == 0).all()
     stored(session)
@@ -190,7 +191,7 @@ def test_an_intervention_that_nobody_made_costs_nothing(live, intervention):
     [gone] = _said(one, "gone")
     nobodys = range(gone["frame"] + 1, one.number)
     assert any(session.flag("control", n) for n in nobodys)
-    frames = session._books.frames(nobodys.start, nobodys.stop)
+    frames = session.frames(nobodys.start, nobodys.stop)
     fell = frames[:, layout.terminated] > 0
     assert (frames[~fell, layout.reward] > -19).all()
     reset = [session.flag("human_reset", n) for n in nobodys]
@@ -208,13 +209,13 @@ def test_silence_in_a_pause_means_nothing(live):
         await asyncio.sleep(0.5)
         one.page.dead = True
         await asyncio.sleep(40)
-        assert one.session.controls
+        assert one.session.person.in_control
         one.page.dead = False
         held = one.number
         one.page.say("pause", on=False)
         await asyncio.sleep(2)
         assert one.number > held + 90
-        assert one.session.controls
+        assert one.session.person.in_control
 
     one = live(happens)
     assert _said(one, "gone") == []
@@ -229,7 +230,7 @@ def test_what_was_shown_before_a_pause_is_to_be_answered(live):
         one.page.say("pause", on=True)
         one.page.dead = True
         await asyncio.sleep(40)
-        assert not one.session.controls
+        assert not one.session.person.in_control
 
     one = live(happens)
     assert len(_said(one, "gone")) == 1
@@ -244,7 +245,7 @@ def test_a_shorter_silence_means_nothing(live, silence):
             await asyncio.sleep(silence)
             one.page.dead = False
             await asyncio.sleep(0.1)
-        assert one.session.controls
+        assert one.session.person.in_control
 
     assert _said(live(happens), "gone") == []
 
@@ -255,7 +256,7 @@ def test_answers_that_come_late_but_come_are_answers(live, late):
 
     async def happens(one):
         one.go()
-        one.come(_Page(one.conductor, late))
+        one.come(_Page(one.paced, late))
         before = one.number
         await asyncio.sleep(late + 5)
         assert one.number - before > 200 if late < _LIMIT else one.number - before < 100
@@ -286,12 +287,12 @@ def test_a_program_that_is_busy_hears_no_silence(live, monkeypatch):
             await asyncio.sleep(0.2)
         monkeypatch.setattr(one.session, "tick", busy(0.5))
         await asyncio.sleep(20)
-        assert one.session.controls
+        assert one.session.person.in_control
         # Nor does it take silence for an answer.
         one.page.dead = True
         before = one.number
         await asyncio.sleep(30)
-        assert not one.session.controls
+        assert not one.session.person.in_control
         assert 0 < one.number - before < 50
 
     assert len(_said(live(happens), "gone")) == 1
@@ -365,7 +366,7 @@ def test_a_page_that_opens_again_after_its_silence_sees_why_it_stopped(live):
         one.go()
         stopped = one.number
         await asyncio.sleep(40)
-        one.come(_Page(one.conductor))
+        one.come(_Page(one.paced))
         await asyncio.sleep(2)
         assert one.number == stopped
         status = one.page.last("status")
@@ -402,7 +403,7 @@ def test_nothing_is_played_before_the_page_has_shown_a_frame(live):
     async def happens(one):
         one.go()
         before = one.number
-        late = _Page(one.conductor)
+        late = _Page(one.paced)
         late.dead = True
         one.come(late)
         await asyncio.sleep(40)
@@ -419,9 +420,9 @@ def test_nothing_is_played_before_the_page_has_shown_a_frame(live):
 
 def test_those_who_watch_are_not_asked_whether_they_are_there(live):
     async def happens(one):
-        other = _Page(one.conductor)
+        other = _Page(one.paced)
         other.dead = True
-        one.conductor.listen(other.hear)
+        one.paced.add_listener(other.hear)
         before = one.number
         await asyncio.sleep(5)
         assert one.number > before + 200
@@ -468,8 +469,8 @@ def test_who_is_silent_where_the_walker_asks_is_gone_after_that_frame(live):
 
 
 def test_answers_are_of_frames_that_were_shown_in_any_order():
-    one = Attention(1.0)
-    one.begin(10)
+    one = SilenceTimer(1.0)
+    one.start(10)
     one.show(10)
     with pytest.raises(ValueError, match=r"^seen: frame 11: must be from 0 to 10$"):
         one.answer(11)
@@ -481,32 +482,32 @@ def test_answers_are_of_frames_that_were_shown_in_any_order():
     one.answer(12)  # It was overtaken.
     one.answer(0)  # Of a frame before the page came, which it has from somebody's time before.
     assert one.seen == 18
-    assert [one.is_lost(1 / 16) for _ in range(20)] == [False] * 15 + [True] + [False] * 4
+    assert [one.advance(1 / 16) for _ in range(20)] == [False] * 15 + [True] + [False] * 4
     one.hear(25)  # A judgement that names a frame that was not shown.
     assert one.seen == 20
-    assert not any(one.is_lost(0.1) for _ in range(100))  # All was answered.
+    assert not any(one.advance(0.1) for _ in range(100))  # All was answered.
     one.show(21)
     one.hear(None)
     assert one.seen == 20
-    assert not one.is_lost(60.0)
+    assert not one.advance(60.0)
 
 
 def test_a_judgement_of_frames_that_were_nobodys_counts():
     session = Session(setup_of("penalty", learns=False))
     play(session, 40)
-    session.gone(9)
+    session.person.gone(9)
     assert session.labels == [Label(0, "nobody", 10, 39)]
-    start = session._books.frames(10, 11)[0, session.setup.agent.layout.boundary]
+    start = session.frames(10, 11)[0, session.setup.agent.layout.boundary]
     assert session.frame.boundary == start
     alarmed = next(n for n in range(12, 40) if session.flag("alarmed", n))
-    session.danger(True, alarmed)
-    session.danger(False, alarmed)
-    session.let_go(40)
+    session.person.danger(True, alarmed)
+    session.person.danger(False, alarmed)
+    session.person.let_go(40)
     assert session.frame.boundary == pytest.approx(start - 0.01, abs=1e-6)
     assert np.flatnonzero(~unjudged(session.labels, 10, 40)).tolist() == [alarmed - 10]
     # To take a label back takes back the person's, not that nobody was there.
-    assert session.undo().kind == "danger"
-    assert session.undo() is None
+    assert session.person.undo().kind == "danger"
+    assert session.person.undo() is None
     assert session.labels == [Label(0, "nobody", 10, 39)]
     assert session.frame.boundary == start
 
@@ -514,17 +515,17 @@ def test_a_judgement_of_frames_that_were_nobodys_counts():
 def test_where_no_person_is_none_can_go():
     session = Session(setup_of(with_person=False, learns=False))
     with pytest.raises(ValueError, match="nobody is asked in this session"):
-        session.gone(0)
+        session.person.gone(0)
 
 
 @pytest.mark.parametrize(("seen", "first"), [(-1, 0), (0, 1), (9, None), (10, None), (99, None)])
 def test_where_all_was_seen_nothing_is_nobodys(seen, first):
     session = Session(setup_of(learns=False))
     play(session, 10)
-    session.take(5)
-    session.gone(seen)
-    assert not session.dangerous
-    assert not session.controls
+    session.person.take(5)
+    session.person.gone(seen)
+    assert not session.person.dangerous
+    assert not session.person.in_control
     kinds = ["take"] if first is None else ["take", "nobody"]
     assert [label.kind for label in session.labels] == kinds
     assert session.labels[0].last == min(seen, 9)
@@ -533,9 +534,9 @@ def test_where_all_was_seen_nothing_is_nobodys(seen, first):
 def test_a_silence_longer_than_the_replay_is_nobodys_whole():
     session = Session(setup_of(learns=False))
     play(session, 20)
-    session.danger(True, 20)
+    session.person.danger(True, 20)
     play(session, 1000)
-    session.gone(30)
+    session.person.gone(30)
     assert np.flatnonzero(judged(session.labels, 0, 1000)).tolist() == [*range(20, 31)]
     assert unjudged(session.labels, 0, 1000).sum() == 1000 - 31
 
@@ -611,7 +612,7 @@ def test_a_page_that_stands_still_and_comes_back(tmp_path):
                 for message in map(json.loads, (other.recv(timeout=30) for _ in range(3))):
                     if message["type"] == "frame":  # Who watches answers for nobody else.
                         other.send(json.dumps({"type": "seen", "frame": message["n"]}))
-        assert not served.session.controls
+        assert not served.session.person.in_control
         stopped = served.session.frame.number
         why = until(page, lambda m: m["type"] == "status" and m["why_paused"])
         assert why["paused"]
