@@ -202,7 +202,7 @@ def main(options: LiveOptions) -> int:
             path = pathlib.Path(options.journal)
             try:
                 noted = held.enter_context(contextlib.closing(journal.Journal(path)))
-                lines = [] if noted.is_new else _lines_of(path, header)
+                lines = [] if noted.is_new else lines_of(path, header)
             except ResultsError as error:
                 raise BadInput(f"--journal {error}") from error
         keep_programs()
@@ -268,8 +268,8 @@ def opened(address: str, path: pathlib.Path) -> Iterator[None]:
             door.unlink()
 
 
-def _lines_of(path: pathlib.Path, header: dict[str, Any]) -> list[journal.Line]:
-    """What was noted before, if the session is the same.
+def lines_of(path: pathlib.Path, header: dict[str, Any]) -> list[journal.Line]:
+    """The lines of a journal that is there already, if its session is the same.
 
     Raises:
         ResultsError: naming the first difference.

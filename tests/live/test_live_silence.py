@@ -562,7 +562,9 @@ def _recorded(tmp_path, until, gone):
             session.tick()
             noted.played(session)
     noted.close()
-    return recorded._steps(Session(setup_of("penalty", learns=False)), journal.read(path)[1], path)
+    return recorded.steps_of(
+        Session(setup_of("penalty", learns=False)), journal.read(path)[1], path
+    )
 
 
 def test_a_recorded_human_has_no_judgements_of_nobody(tmp_path):
@@ -572,7 +574,7 @@ def test_a_recorded_human_has_no_judgements_of_nobody(tmp_path):
     assert np.flatnonzero(steps.dangerous).tolist() == [*range(10, 30)]
     assert np.flatnonzero(steps.begins).tolist() == [0, 30]  # A delay does not reach across.
     assert steps.episodes == 1
-    said = "\n".join(recorded._said(steps))
+    said = "\n".join(recorded.report_of(steps))
     assert "44 steps of 1 episodes; judged dangerous: 20 steps" in said
     assert "steps that nobody was there to judge, left out: 20" in said
 
