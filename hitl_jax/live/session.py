@@ -110,7 +110,7 @@ class Session:
         self.person = LivePerson(setup, self._store, self._relabel)
         self._steps: list[tuple[Any, ...]] = []
         self.episodes: list[Row] = []
-        self.env_steps = 0
+        self.env_steps = self._step = 0
         self._begin_episode()
         self._compile()
 
