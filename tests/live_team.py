@@ -1,13 +1,17 @@
 """A small session for the tests of the live page, and its server."""
 
 import asyncio
+import contextlib
 import functools
+import json
 import socket
 import threading
+import time
 import urllib.error
 import urllib.request
 
 import numpy as np
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
@@ -128,6 +132,31 @@ class Served:
             one.sendall("\r\n".join([*lines, "Connection: close", "", ""]).encode("latin-1"))
             told = b"".join(iter(lambda: one.recv(4096), b"")).decode()
         return int(told.split()[1]), told.splitlines()[-1]
+
+
+def until_update(page, kind, true=lambda update: True, seconds=20):
+    """The first update of a type for which something is true; answers frames meanwhile."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        update = json.loads(page.recv(timeout=seconds))
+        if update["type"] == "frame":
+            say(page, "seen", frame=update["n"])
+        if update["type"] == kind and true(update):
+            return update
+    raise TimeoutError(kind)
+
+
+def say(page, kind, **fields):
+    """Sends a message of a person."""
+    page.send(json.dumps({"type": kind, **fields}))
+
+
+def why_closed(page):
+    """The code and reason with which the server closes a page's socket."""
+    with contextlib.suppress(ConnectionClosed):
+        while True:
+            page.recv(timeout=20)
+    return page.close_code, page.close_reason
 
 
 def play(session, until):

@@ -1,4 +1,4 @@
-"""A session that a person watches: late labels, and what is taken back."""
+"""A session that a person watches: late labels, and labels that are taken back."""
 
 import dataclasses
 
@@ -56,7 +56,7 @@ def test_a_judgement_in_time_equals_one_that_came_late(silent):
     in_time.person.danger(False, last - 1)
     play(late, last)
     late.person.danger(True, first)
-    late.person.let_go(last)  # Or the arbiter would hear of it, and might intervene now.
+    late.person.let_go(last)  # Or the arbiter might intervene now.
     columns = [
         late.setup.agent.layout.boundary_reward,
         *(late.setup.agent.layout.boundary + i for i in (0, 1)),
@@ -117,7 +117,7 @@ def test_the_arbiter_hands_over_where_alarm_and_judgement_agree(silent):
     session = Session(setup_of())
     play(session, alarms[0])
     session.person.danger(True, alarms[0])
-    session.person.danger(False, alarms[0])  # A tap: over before the next step, heard all the same.
+    session.person.danger(False, alarms[0])  # A tap counts, though it ends before the step.
     session.tick()
     assert session.person.in_control
     assert session.interventions == 1
@@ -155,7 +155,7 @@ def test_a_judgement_that_comes_late_can_give_control_and_is_taken_back_whole(si
     session.person.undo()
     assert session.labels == []
     assert not any(session.flag("dangerous", n) for n in range(at + 4))
-    # The boundary is nobody's, as far as the alarms are nobody's.
+    # The boundary is again that of the session without a person.
     columns = [layout.boundary_reward, layout.boundary, layout.next_boundary]
     np.testing.assert_array_equal(
         session.frames(0, at)[:, columns], nobody.frames(0, at)[:, columns]
