@@ -1,20 +1,25 @@
 """A small session for the tests of the live page, and its server."""
 
 import asyncio
+import contextlib
 import functools
+import json
 import socket
 import threading
+import time
 import urllib.error
 import urllib.request
 
 import numpy as np
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.live import journal, person
-from hitl_jax.live.pacing import Conductor, Manners
-from hitl_jax.live.server import Live
-from hitl_jax.live.setup import Setup
+from hitl_jax.live.pacing import PacedSession
+from hitl_jax.live.page_updates import PageOptions
+from hitl_jax.live.server import PageServer
+from hitl_jax.live.setup import SessionSetup
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training.run_spec import LoopConfig
 
@@ -38,12 +43,12 @@ def agent_of(intervention, with_person=True):
     )
     if not with_person:
         return make_agent(config)
-    return make_agent(config, judge=person.judge(), source=person.hands(4))
+    return make_agent(config, judge=person.judge(), source=person.actions(4))
 
 
 def setup_of(intervention="takeover", with_person=True, **changes):
     """Of a session with a person, or with a simulated human; a replay of 512 frames."""
-    setup = Setup(
+    setup = SessionSetup(
         agent=agent_of(intervention, with_person),
         hyper=HYPER,
         loop=LoopConfig(capacity=512),
@@ -78,10 +83,10 @@ class Served:
         self._socket = socket.create_server(("127.0.0.1", port))
         self.port = self._socket.getsockname()[1]
         self.address = f"http://127.0.0.1:{self.port}/?token={TOKEN}"
-        manners = Manners(mode, "HITL-AC, seed 0", asks, answer_seconds, silence_seconds)
-        live = Live(Conductor(session, self._noted, manners), TOKEN)
-        self._server = live.server()
-        serve = functools.partial(live.serve, self._server, self._socket)
+        options = PageOptions(mode, "HITL-AC, seed 0", asks, answer_seconds, silence_seconds)
+        page = PageServer(PacedSession(session, self._noted, options), TOKEN)
+        self._server = page.server()
+        serve = functools.partial(page.serve, self._server, self._socket)
         self._thread = threading.Thread(target=lambda: asyncio.run(serve()))
 
     def __enter__(self):
@@ -127,6 +132,31 @@ class Served:
             one.sendall("\r\n".join([*lines, "Connection: close", "", ""]).encode("latin-1"))
             told = b"".join(iter(lambda: one.recv(4096), b"")).decode()
         return int(told.split()[1]), told.splitlines()[-1]
+
+
+def until_update(page, kind, true=lambda update: True, seconds=20):
+    """The first update of a type for which something is true; answers frames meanwhile."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        update = json.loads(page.recv(timeout=seconds))
+        if update["type"] == "frame":
+            say(page, "seen", frame=update["n"])
+        if update["type"] == kind and true(update):
+            return update
+    raise TimeoutError(kind)
+
+
+def say(page, kind, **fields):
+    """Sends a message of a person."""
+    page.send(json.dumps({"type": kind, **fields}))
+
+
+def why_closed(page):
+    """The code and reason with which the server closes a page's socket."""
+    with contextlib.suppress(ConnectionClosed):
+        while True:
+            page.recv(timeout=20)
+    return page.close_code, page.close_reason
 
 
 def play(session, until):

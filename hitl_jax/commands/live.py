@@ -32,9 +32,10 @@ from hitl_jax.evaluation.trials import frozen
 from hitl_jax.human import actions
 from hitl_jax.learner.networks import Actor
 from hitl_jax.live import journal, person
-from hitl_jax.live.pacing import Conductor, Manners
+from hitl_jax.live.pacing import PacedSession
+from hitl_jax.live.page_updates import PageOptions
 from hitl_jax.live.session import Session
-from hitl_jax.live.setup import Setup
+from hitl_jax.live.setup import SessionSetup
 from hitl_jax.results.atomic_files import write_bytes_atomic
 from hitl_jax.results.config_diff import changes, completed
 from hitl_jax.results.npz_archives import to_npz
@@ -144,7 +145,7 @@ class LiveOptions:
         }
 
 
-def setup_of(options: LiveOptions) -> Setup:
+def setup_of(options: LiveOptions) -> SessionSetup:
     """What a session begins with.
 
     Raises:
@@ -162,11 +163,11 @@ def setup_of(options: LiveOptions) -> Setup:
     if options.mode == "test":
         hyper = frozen(hyper, human_present=True)
     if options.with_person:
-        hands = person.hands(config.action_size, assistant)
+        hands = person.actions(config.action_size, assistant)
         agent = make_agent(config, judge=person.judge(), source=hands)
     else:
         agent = make_agent(config, source=assistant)
-    return Setup(
+    return SessionSetup(
         agent=agent,
         hyper=hyper,
         loop=options.loop,
@@ -201,7 +202,7 @@ def main(options: LiveOptions) -> int:
             path = pathlib.Path(options.journal)
             try:
                 noted = held.enter_context(contextlib.closing(journal.Journal(path)))
-                lines = [] if noted.is_new else _lines_of(path, header)
+                lines = [] if noted.is_new else lines_of(path, header)
             except ResultsError as error:
                 raise BadInput(f"--journal {error}") from error
         keep_programs()
@@ -221,13 +222,13 @@ def _serve(
     options: LiveOptions, session: Session, noted: journal.Journal, listening: socket.socket
 ) -> int:
     """Serves the page until a signal; the exit code."""
-    from hitl_jax.live.server import Live
+    from hitl_jax.live.server import PageServer
 
     port, token = listening.getsockname()[1], secrets.token_urlsafe(16)
     title = f"{options.method.upper()}, seed {options.seed}"
     asks = options.ask or options.mode == "test"
-    manners = Manners(options.mode, title, asks, options.answer_seconds)
-    page = Live(Conductor(session, noted, manners), token)
+    shown = PageOptions(options.mode, title, asks, options.answer_seconds)
+    page = PageServer(PacedSession(session, noted, shown), token)
     address = f"http://{_HOST}:{port}/?token={token}"
     print(f"The page: {address}\nThe journal: {options.journal}")
     print("Ctrl-C ends; the same command goes on.", flush=True)
@@ -255,7 +256,7 @@ def opened(address: str, path: pathlib.Path) -> Iterator[None]:
         address: with the token.
         path: of the journal; the file is put beside it.
     """
-    door = path.absolute().with_name(path.name + journal.DOOR)
+    door = path.absolute().with_name(path.name + journal.REDIRECT_ENDING)
     # Not in a hidden folder, nor in /tmp: a browser in a container may not read there.
     page = f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">\n'
     write_bytes_atomic(door, page.encode(), mode=0o600)
@@ -267,8 +268,8 @@ def opened(address: str, path: pathlib.Path) -> Iterator[None]:
             door.unlink()
 
 
-def _lines_of(path: pathlib.Path, header: dict[str, Any]) -> list[journal.Line]:
-    """What was noted before, if the session is the same.
+def lines_of(path: pathlib.Path, header: dict[str, Any]) -> list[journal.Line]:
+    """The lines of a journal that is there already, if its session is the same.
 
     Raises:
         ResultsError: naming the first difference.

@@ -107,12 +107,12 @@ def main(options: RecordedOptions) -> int:
         setup = setup_of(session_options)
     tell_differences(path, header)
     keep_programs()
-    steps = _steps(Session(setup), lines, path)
+    steps = steps_of(Session(setup), lines, path)
     if not len(steps.dangerous):
         raise ResultsError(f"{path}: no step was played that a person judged")
     out = path.with_name(f"{path.name}.human.npz")
     recorded_human.write(out, steps.dangerous)
-    print("\n".join(_said(steps)))
+    print("\n".join(report_of(steps)))
     print(f"\nThe person as a human for sweeps: --human {recorded_human.PREFIX}{out}")
     return 0
 
@@ -136,7 +136,17 @@ def _options(header: journal.Line, options: RecordedOptions) -> LiveOptions:
     ).checked()
 
 
-def _steps(session: Session, lines: list[journal.Line], path: pathlib.Path) -> Steps:
+def steps_of(session: Session, lines: list[journal.Line], path: pathlib.Path) -> Steps:
+    """Plays a journal again; the steps that a person judged.
+
+    Args:
+        session: at its beginning.
+        lines: of the journal.
+        path: of the journal, for error texts.
+
+    Raises:
+        ResultsError: if the session does not become what it was.
+    """
     seen, begins, alarmed, live = [], [], [], []
 
     def note() -> None:
@@ -163,8 +173,8 @@ def _steps(session: Session, lines: list[journal.Line], path: pathlib.Path) -> S
     )
 
 
-def _said(steps: Steps) -> list[str]:
-    """What is told of a person."""
+def report_of(steps: Steps) -> list[str]:
+    """Lines of text that compare the person with simulated humans."""
     dangerous, alarmed = steps.dangerous, steps.alarmed
     lines = [
         f"{len(dangerous):,} steps of {steps.episodes} episodes; "

@@ -1,4 +1,7 @@
-"""`VisibleWalker`: one lean walker in this process, whose bodies and terrain can be drawn."""
+"""One Box2D walker in this process, with its bodies and terrain for drawing.
+
+It plays as a walker of the lean pool does.
+"""
 
 from typing import Any, NamedTuple
 
@@ -10,20 +13,20 @@ from hitl_jax.envs.shared import SharedArrays
 from hitl_jax.walker import bipedal
 
 LIDAR = slice(14, 24)
-"""Lidar fractions in an observation."""
+"""Where an observation has the lidar: the share of its range that each ray reaches."""
 
 FEET = (8, 13)
-"""Ground contact of the two feet in an observation."""
+"""Where an observation has whether each foot touches the ground."""
 
 
-class Answer(NamedTuple):
-    """The results of a step.
+class StepResult(NamedTuple):
+    """The result of a step.
 
     Attributes:
-        observation: s_{t+1}, float32 [24].
+        observation: s_{t+1}, [24].
         reward: r(s, a).
-        terminated: whether the walker fell or reached the end of the terrain.
-        truncated: whether the step reached the time limit.
+        terminated: whether the walker fell or reached the end.
+        truncated: whether the time limit was reached.
     """
 
     observation: np.ndarray
@@ -33,10 +36,10 @@ class Answer(NamedTuple):
 
 
 class VisibleWalker:
-    """A walker with the numbers of backend `lean`, for live sessions and films."""
+    """Plays one walker, step by step."""
 
     def __init__(self) -> None:
-        """Waits for the first reset.
+        """Makes the walker; `reset` begins its first episode.
 
         Raises:
             ImportError: if Box2D is missing; one line that says what to install.
@@ -56,21 +59,20 @@ class VisibleWalker:
         )
 
     def reset(self, seed: int) -> np.ndarray:
-        """Begins a seed's episode; returns the first observation, float32 [24]."""
+        """Begins the episode of a seed; its first observation, [24]."""
         self._arrays.seed[0] = seed
         return self._tick(Command.RESET).observation
 
-    def step(self, action: np.ndarray) -> Answer:
-        """Makes one step of 0.02 s with an action [4]."""
+    def step(self, action: np.ndarray) -> StepResult:
+        """Plays one step of 0.02 s with an action, [4]."""
         self._arrays.action[0] = action
         return self._tick(Command.STEP)
 
-    def _tick(self, command: int) -> Answer:
-        """Does a command and reads the results."""
+    def _tick(self, command: int) -> StepResult:
         arrays = self._arrays
         arrays.command[0] = command
         self._walkers.tick(arrays)
-        return Answer(
+        return StepResult(
             arrays.observation[0].copy(),
             float(arrays.reward[0]),
             bool(arrays.terminated[0]),
@@ -78,7 +80,7 @@ class VisibleWalker:
         )
 
     def terrain(self) -> dict[str, list[float]]:
-        """Corners of the ground: lists `x` and `y` [m]."""
+        """Corners of the ground [m]."""
         x, y = self._walkers.terrain(0)
         return {"x": [round(v, 3) for v in x], "y": [round(v, 3) for v in y]}
 
@@ -88,7 +90,7 @@ class VisibleWalker:
 
 
 def shapes() -> dict[str, Any]:
-    """What the page draws and never changes: outlines [m], lidar rays, and the goal's x [m]."""
+    """What stays the same in an episode: outlines [m], lidar rays [rad, m] and the goal [m]."""
     return {
         "shapes": outlines(),
         "lidar": {"angles": list(bipedal.LIDAR_ANGLES), "range": bipedal.LIDAR_RANGE},

@@ -1,6 +1,7 @@
-"""A real person as the human: what they do becomes judgements and actions of one run, step by step.
+"""A real person as the human: their judgements and actions enter one run, step by step.
 
-`person` and `labels` are pure; `session` plays one run, `journal` keeps what was done to it,
-`conductor` gives it a pace and `attention` says whether the person is still there, `server` and the
-page show it to a browser.
+`person` and `labels` are pure functions of the team. `session` plays one run, `live_person` keeps
+what the person said and controls, and `journal` writes it down. `pacing` plays a session in real
+time, `silence_timer` notices a page that stopped answering, and `server` connects browsers to it;
+`messages` come from a page and `page_updates` go to it.
 """

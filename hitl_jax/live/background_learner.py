@@ -19,23 +19,22 @@ from hitl_jax.types import Behavior, TrainState
 from hitl_jax.xla.devices import learning_devices
 
 LAG = 1
-"""Calls of the learner that may be under way while the walker plays. As in a sweep the lag is part
-of what a run is, so that a session's numbers do not tell how fast the machine was."""
+"""Calls of the learner that may run while the walker plays. As in a sweep, a run always acts with
+parameters of this age, so that its numbers do not depend on the speed of the machine."""
+
+_MIN_COMPILED = 16
+"""Frames of the smallest `overwrite` that is compiled."""
 
 
-_SMALLEST = 16
-"""Frames of the smallest correction that is compiled."""
-
-
-class Learning:
-    """The training state of one run, its replay, and the parameters that act meanwhile.
+class BackgroundLearner:
+    """Keeps the training state of one run, its replay, and the parameters that act meanwhile.
 
     Attributes:
         updates: of the task learner so far.
     """
 
     def __init__(self, agent: Agent, hyper: RunHyper, loop: LoopConfig, train: TrainState):
-        """Places everything on the first learning device.
+        """Puts the training state and an empty replay on the first learning device.
 
         Args:
             agent: the team.
@@ -55,7 +54,8 @@ class Learning:
     @property
     def behavior(self) -> Behavior:
         """The parameters that act in this chunk, on the host; waits for the learner."""
-        flat = jnp.asarray(np.asarray(self._behavior[0]))  # Not a program of the learner's device.
+        # Through NumPy, so that no program of the learner's device has to run.
+        flat = jnp.asarray(np.asarray(self._behavior[0]))
         acts: Behavior = jax.tree.map(np.asarray, self._unravel(flat))
         return acts
 
@@ -64,47 +64,47 @@ class Learning:
         state: TrainState = jax.device_get(dataclasses.replace(self._train, key=None))
         return state
 
-    def end_chunk(self, frames: np.ndarray, learns: bool) -> None:
-        """Hands over a chunk, and goes on to the next parameters; does not wait.
+    def add_chunk(self, frames: np.ndarray, learn: bool) -> None:
+        """Adds a chunk to the replay, and makes the next parameters act; does not wait.
 
         Args:
-            frames: what happened, [U, W].
-            learns: whether to learn from the replay now.
+            frames: of the chunk, [U, W].
+            learn: whether to learn from the replay now.
         """
         self._memory = _add(self._memory, frames[None])
         learned = self._behavior[-1]
-        if learns:
+        if learn:
             self._train, learned = self._learn(self._train, self._memory)
             self.updates += self._num_updates
         self._behavior.append(learned)
         self._behavior.popleft()
 
-    def correct(self, places: np.ndarray, outcome: np.ndarray) -> None:
-        """Replaces what is stored of frames from the reward on.
+    def overwrite(self, places: np.ndarray, outcome: np.ndarray) -> None:
+        """Replaces the stored columns of frames from the reward on.
 
         Args:
-            places: in the ring, int [K].
-            outcome: [K, 7].
+            places: in the replay, int [K].
+            outcome: the new columns, [K, 7].
         """
-        # Few sizes, since each is compiled; places past the ring's end are nobody's.
-        size = _SMALLEST * 4 ** max(math.ceil(math.log(len(places) / _SMALLEST, 4)), 0)
+        # A few sizes, since each is compiled. Places past the end of the replay are dropped.
+        size = _MIN_COMPILED * 4 ** max(math.ceil(math.log(len(places) / _MIN_COMPILED, 4)), 0)
         at = np.full(size, self._loop.frames, np.int32)
         rows = np.zeros((size, outcome.shape[1]), np.float32)
         at[: len(places)], rows[: len(places)] = places, outcome
-        self._memory = _correct(self._memory, at, rows)
+        self._memory = _overwrite(self._memory, at, rows)
 
     def stored(self) -> np.ndarray:
-        """All frames of the ring, [T, W]; waits for the learner."""
+        """All frames of the replay, [T, W]; waits for the learner."""
         return np.concatenate([self._memory.seen[0], self._memory.outcome[0]], axis=1)
 
     def compile(self) -> None:
-        """Compiles what learning would else stop for; nothing is learned or stored."""
+        """Compiles all programs; nothing is learned or stored."""
         memory = jax.tree.map(jnp.copy, self._memory)
         shape = (1, self._loop.chunk, memory.seen.shape[2] + memory.outcome.shape[2])
         memory = _add(memory, np.zeros(shape, np.float32))
         self._learn(jax.tree.map(jnp.copy, self._train), memory)
-        at = np.full(_SMALLEST, self._loop.frames, np.int32)
-        _correct(memory, at, np.zeros((_SMALLEST, memory.outcome.shape[2]), np.float32))
+        at = np.full(_MIN_COMPILED, self._loop.frames, np.int32)
+        _overwrite(memory, at, np.zeros((_MIN_COMPILED, memory.outcome.shape[2]), np.float32))
 
     def _learn(self, train: TrainState, memory: replay.Replay) -> tuple[TrainState, jax.Array]:
         return _learn(self._agent, self._num_updates, train, memory, self._hyper)
@@ -117,12 +117,12 @@ _add = jax.jit(replay.add, donate_argnums=0)
 def _learn(
     agent: Agent, num_updates: int, train: TrainState, memory: replay.Replay, hyper: RunHyper
 ) -> tuple[TrainState, jax.Array]:
-    """The training state after a call of the learner, and what acts of it in one array."""
+    """The training state after a call of the learner, and its acting parameters in one array."""
     train = agents.learn(agent, hyper, train, memory, jnp.int32(0), num_updates)
     return train, ravel_pytree(agents.behavior(train))[0]
 
 
 @functools.partial(jax.jit, donate_argnums=0)
-def _correct(memory: replay.Replay, places: jax.Array, rows: jax.Array) -> replay.Replay:
+def _overwrite(memory: replay.Replay, places: jax.Array, rows: jax.Array) -> replay.Replay:
     outcome = memory.outcome.at[0, places].set(rows, mode="drop")
     return dataclasses.replace(memory, outcome=outcome)

@@ -1,8 +1,8 @@
-"""Keeps strangers from starving a page: connections that have not shown the token, and the log.
+"""Limits connections that have not shown the token, and lines of log, so that the page stays fast.
 
-Who can reach the port need not know the token. So connections without it are few, each ends after a
-while whatever it does, and where one more comes the one that has been idle longest goes. A browser
-that opens the page needs its own for a moment only.
+Programs that can reach the port need not know the token. So connections without it are limited in
+number and in time, and one more closes the one that has been idle longest. A browser that opens the
+page needs such a connection for a moment only.
 """
 
 import asyncio
@@ -15,123 +15,124 @@ from typing import Any, NamedTuple
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-MOST_STRANGERS = 200
+MAX_CONNECTIONS = 200
 """Connections without the token at a time."""
 
-PATIENCE = 20.0
-"""For how long each may stay [s]."""
+MAX_SECONDS = 20.0
+"""How long each may stay [s]."""
 
-_AT_ONCE = 16
-"""Connections that are taken in before frames have their turn."""
+_ACCEPTED_AT_ONCE = 16
+"""Connections that are accepted before frames have their turn."""
 _QUEUE = 1024
-"""Connections that wait to be taken in."""
+"""Connections that wait to be accepted."""
 
-_LINES, _LINES_SECONDS = 20, 60.0
-"""So many lines of log in so many seconds."""
+_LOG_LINES, _LOG_SECONDS = 20, 60.0
+"""At most so many lines of log in so many seconds."""
 
 Client = tuple[str, int]
 
 
-class _Stranger(NamedTuple):
+class _Connection(NamedTuple):
     transport: asyncio.Transport
     timer: asyncio.TimerHandle
     is_answered: Callable[[], bool]
 
 
-class Doorway:
-    """The connections that have not shown the token."""
+class ConnectionLimits:
+    """Closes connections that have not shown the token, when they are too many or too old."""
 
-    def __init__(self, most: int = MOST_STRANGERS, patience: float = PATIENCE):
-        """Nobody is there.
+    def __init__(self, most: int = MAX_CONNECTIONS, seconds: float = MAX_SECONDS):
+        """Begins without connections.
 
         Args:
             most: connections at a time.
-            patience: for how long each may stay [s].
+            seconds: how long each may stay [s].
         """
-        self._most, self._patience = most, patience
-        self._strangers: dict[Client, _Stranger] = {}
+        self._most, self._seconds = most, seconds
+        self._connections: dict[Client, _Connection] = {}
 
-    def come(self, transport: asyncio.Transport, is_answered: Callable[[], bool]) -> None:
-        """Takes a connection in; another one may have to go for it.
+    def add(self, transport: asyncio.Transport, is_answered: Callable[[], bool]) -> None:
+        """Adds a connection; may close another one for it.
 
         Args:
             transport: of the connection.
             is_answered: whether a request of it is being answered now.
         """
         client = transport.get_extra_info("peername")
-        if client is None:  # It is gone already.
+        if client is None:  # It is closed already.
             return
-        self.admit(client)  # Of an earlier connection from there, which has ended.
-        if len(self._strangers) >= self._most:
-            idle = (one for one, other in self._strangers.items() if not other.is_answered())
-            self._send_away(next(idle, next(iter(self._strangers))))
-        timer = asyncio.get_running_loop().call_later(self._patience, self._send_away, client)
-        self._strangers[client] = _Stranger(transport, timer, is_answered)
+        self.allow(client)  # An earlier connection with this address has ended.
+        if len(self._connections) >= self._most:
+            idle = (one for one, other in self._connections.items() if not other.is_answered())
+            self._close(next(idle, next(iter(self._connections))))
+        timer = asyncio.get_running_loop().call_later(self._seconds, self._close, client)
+        self._connections[client] = _Connection(transport, timer, is_answered)
 
-    def admit(self, client: Client) -> None:
-        """Lets a connection stay, since it has shown the token."""
-        if client in self._strangers:
-            self._strangers.pop(client).timer.cancel()
+    def allow(self, client: Client) -> None:
+        """Lifts the limits from a connection, since it has shown the token."""
+        if client in self._connections:
+            self._connections.pop(client).timer.cancel()
 
-    def _send_away(self, client: Client) -> None:
-        stranger = self._strangers.pop(client)
-        stranger.timer.cancel()
-        stranger.transport.abort()
+    def _close(self, client: Client) -> None:
+        connection = self._connections.pop(client)
+        connection.timer.cancel()
+        connection.transport.abort()
 
 
-class FewLines(logging.Filter):
-    """Lets so many lines of log pass in a while, and says once that there were more."""
+class LogLimit(logging.Filter):
+    """Passes a limited number of log lines a minute, and says once that there were more."""
 
     def __init__(self) -> None:
-        """Nothing has been logged."""
+        """Begins with nothing logged."""
         super().__init__()
-        self._since, self._lines = -_LINES_SECONDS, 0
+        self._since, self._lines = -_LOG_SECONDS, 0
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether a line is written."""
         now = time.monotonic()
-        if now - self._since >= _LINES_SECONDS:
+        if now - self._since >= _LOG_SECONDS:
             self._since, self._lines = now, 0
         self._lines += 1
-        if self._lines == _LINES:
+        if self._lines == _LOG_LINES:
             record.msg, record.args, record.exc_info = "more of the log is left out", (), None
-        return self._lines <= _LINES
+        return self._lines <= _LOG_LINES
 
 
 class _Server(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
         for listening in sockets or []:
-            listening.listen(_QUEUE)  # Uvicorn has one number for both.
+            # Uvicorn's `backlog` sets this as well as how many are accepted at once.
+            listening.listen(_QUEUE)
 
 
-def make_server(app: Any, doorway: Doorway, **options: Any) -> uvicorn.Server:
-    """A server whose connections come through a doorway, and whose log is bounded.
+def make_server(app: Any, limits: ConnectionLimits, **options: Any) -> uvicorn.Server:
+    """A server with limited connections and a limited log.
 
     Args:
         app: what it serves.
-        doorway: where connections come.
+        limits: of connections that have not shown the token.
         options: further ones of `uvicorn.Config`.
     """
 
     class Protocol(H11Protocol):
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
             super().connection_made(transport)
-            doorway.come(transport, lambda: bool(self.cycle and not self.cycle.response_complete))
+            limits.add(transport, lambda: bool(self.cycle and not self.cycle.response_complete))
 
     config = uvicorn.Config(
         app,
         http=Protocol,
         log_level="warning",
         lifespan="off",
-        backlog=_AT_ONCE,
-        proxy_headers=False,  # Or who shows the token behind a proxy would be known by its name.
+        backlog=_ACCEPTED_AT_ONCE,
+        proxy_headers=False,  # Or a proxy's header would hide which connection showed the token.
         **options,
     )
-    few = FewLines()
+    limit = LogLimit()
     for name in ("uvicorn.error", "asyncio", "websockets.server"):
         logger = logging.getLogger(name)
-        for old in [one for one in logger.filters if isinstance(one, FewLines)]:
+        for old in [one for one in logger.filters if isinstance(one, LogLimit)]:
             logger.removeFilter(old)
-        logger.addFilter(few)
+        logger.addFilter(limit)
     return _Server(config)

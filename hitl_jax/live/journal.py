@@ -1,12 +1,12 @@
-"""The journal of a session: a line for each thing that was done to it, and for each chunk.
+"""The journal of a session: a line for each message of the person, and for each chunk.
 
-Lines are only added, and each is the system's before the next thing happens. So a killed process
-loses at most the line that it was writing, and the session's last ticks, fewer than a chunk.
+Lines are only added, and each is written before the session goes on. So a killed process loses at
+most the line that it was writing, and the session's last ticks, fewer than a chunk.
 
-The first line is the setup. Then, by `at`, the frame that came next: what a person said, as
-`hitl_jax.live.messages` has it, with the time; and at the end of a chunk the actions that were
-executed (float32, base64) and a checksum of the session. Each line ends with a checksum of itself
-and of the lines above.
+The first line is the setup. Each other line has `at`, the number of the frame that came next. A
+line of a message has the message (`hitl_jax.live.messages`) and the time. A line at the end of a
+chunk has the executed actions (float32, base64) and a checksum of the session. Each line ends with
+a checksum of itself and of the lines above.
 """
 
 import base64
@@ -31,16 +31,16 @@ from hitl_jax.results.schemas import Count, Digest, Positive, Text, Versions
 
 VERSION = 3
 _WITHOUT_SUMS = 2
-"""The version before: its lines have no checksums."""
+"""An older version, whose lines have no checksums; it can be read and continued."""
 
 _BEGINNINGS = (b'{"journal":3,"', b'{"journal":2,"')
 _SUM = b',"sum":"'
 _FIRST_SUM = b""
 
-DOOR = ".open.html"
-BESIDE = (".npz", ".human.npz", DOOR)
-"""Endings of what commands put beside a journal: what was learned, what was judged, and the file
-that opens the page."""
+REDIRECT_ENDING = ".open.html"
+COMPANION_ENDINGS = (".npz", ".human.npz", REDIRECT_ENDING)
+"""Endings of the files that commands write beside a journal: what was learned, the person's
+judgements, and the file that leads a browser to the page."""
 
 Line = dict[str, Any]
 
@@ -49,17 +49,17 @@ class Journal:
     """Writes a session's journal.
 
     Attributes:
-        is_new: whether nothing was in it; then it is to `begin`.
+        is_new: whether the file was empty; then `begin` must follow.
     """
 
     def __init__(self, path: pathlib.Path):
-        """Opens it for this process alone, or makes an empty one.
+        """Opens a journal for this process alone, or makes an empty one.
 
-        A last line that was not written to its end is taken off.
+        A last line that is incomplete is removed.
 
         Raises:
             ResultsError: if it cannot be written, is a link or no file, or another process writes
-                it; or if what is put beside it at the end could not have its name.
+                it; or if its name is too long for the files that are written beside it.
         """
         self._path = path
         with named_errors(path):
@@ -72,12 +72,12 @@ class Journal:
             self.close()
             raise ResultsError(f"{path}: another process plays this session") from error
         whole = read_bytes(path)
-        # Not of a file that is something else.
+        # A file that is no journal is not changed.
         if any(whole.startswith(one) or one.startswith(whole) for one in _BEGINNINGS):
             whole = whole[: whole.rfind(b"\n") + 1]
             os.truncate(self._file, len(whole))
         self.is_new = not os.fstat(self._file).st_size
-        # What an earlier version began goes on as it was begun.
+        # A journal of the older version goes on without checksums.
         *_, last = whole[:-1].split(b"\n")
         self._sum = _sum_of(last) if last else _FIRST_SUM
 
@@ -89,27 +89,28 @@ class Journal:
         """
         self._add({"journal": VERSION, **header})
 
-    def said(self, session: Session, command: messages.Command) -> None:
-        """Does to a session what a person said, and notes it.
+    def said(self, session: Session, message: messages.PersonMessage) -> None:
+        """Makes a session do what a person said, and writes it down.
 
         Raises:
-            ValueError: one line, where it cannot be done; nothing is noted.
+            ValueError: one line, where it cannot be done; nothing is written.
+            ResultsError: if it cannot be written.
         """
         at = session.frame.number
-        beside = {}
-        if command["type"] in messages.JUDGING:
-            beside = messages.apply(session, command)
-        self._add({"at": at, "said": command, "time": round(time.time(), 3), **beside})
+        more = {}
+        if message["type"] in messages.JUDGING:
+            more = messages.apply(session, message)
+        self._add({"at": at, "said": message, "time": round(time.time(), 3), **more})
 
     def played(self, session: Session) -> None:
-        """Notes a chunk, if one has just ended."""
+        """Writes the line of a chunk, if one has just ended."""
         at, chunk = session.frame.number, session.setup.loop.chunk
         if at % chunk == 0:
             actions = base64.b64encode(session.actions(at - chunk, at).tobytes()).decode()
             self._add({"at": at, "actions": actions, "digest": session.digest()})
 
     def close(self) -> None:
-        """No more will come."""
+        """Closes the file."""
         os.close(self._file)
 
     def _add(self, line: Line) -> None:
@@ -136,20 +137,25 @@ class Journal:
 
 
 def _require_room(path: pathlib.Path) -> None:
-    """Refuses a name with which `BESIDE` would be too long for the file system."""
-    most = os.pathconf(path.parent, "PC_NAME_MAX") - max(map(len, BESIDE))
+    """Refuses a name that with one of `COMPANION_ENDINGS` would be too long for the file system."""
+    most = os.pathconf(path.parent, "PC_NAME_MAX") - max(map(len, COMPANION_ENDINGS))
     if len(os.fsencode(path.name)) > most:
         raise ResultsError(f"{path}: its name must be of at most {most} bytes")
 
 
 def _sum_of(line: bytes) -> bytes | None:
-    """The checksum that a line carries; None of a version that had none."""
+    """The checksum of a line; None in a version without checksums."""
     _, mark, end = line.rpartition(_SUM)
     return end.removesuffix(b'"}') if mark else None
 
 
 def _next_sum(before: bytes, line: bytes) -> bytes:
-    """The checksum of a line without one, after the line that had `before`."""
+    """The checksum of a line.
+
+    Args:
+        before: the checksum of the line above.
+        line: the text without its checksum.
+    """
     return hashlib.blake2b(before + line, digest_size=8).hexdigest().encode()
 
 
@@ -169,7 +175,7 @@ class _Head(Struct):
 
 
 class _Label(Struct, forbid_unknown_fields=True):
-    """`labels.Label`, as it was taken back."""
+    """A `labels.Label` that was taken back."""
 
     number: int
     kind: Text
@@ -179,7 +185,7 @@ class _Label(Struct, forbid_unknown_fields=True):
 
 
 class _Said(Struct, forbid_unknown_fields=True):
-    """What a person said; `commands` has what."""
+    """The line of a message; `messages` has what it may be."""
 
     at: Count
     said: dict[Text, Any]
@@ -188,7 +194,7 @@ class _Said(Struct, forbid_unknown_fields=True):
 
 
 class _Played(Struct, forbid_unknown_fields=True):
-    """The end of a chunk."""
+    """The line of a chunk."""
 
     at: Positive
     actions: Annotated[str, Meta(pattern=r"\A[A-Za-z0-9+/=]*\Z")]
@@ -196,7 +202,7 @@ class _Played(Struct, forbid_unknown_fields=True):
 
 
 def read(path: pathlib.Path) -> tuple[Line, list[Line]]:
-    """The first line of a journal, and the others but for a last one that is not whole.
+    """Reads the first line of a journal, and the others without an incomplete last one.
 
     Raises:
         ResultsError: in one line, if it cannot be read, is no journal, or is damaged.
@@ -227,11 +233,11 @@ def read(path: pathlib.Path) -> tuple[Line, list[Line]]:
 
 
 def _line(text: bytes, before: bytes | None) -> tuple[Line, bytes | None]:
-    """A line without its checksum, and the checksum.
+    """Reads a line; gives it without its checksum, and the checksum.
 
     Args:
         text: of the file.
-        before: the checksum of the line above; None of a version that had none.
+        before: the checksum of the line above; None in a version without checksums.
 
     Raises:
         ValueError: in one line, if it is damaged.
@@ -251,12 +257,12 @@ def play(
     path: pathlib.Path,
     before_step: Callable[[], None] = lambda: None,
 ) -> Iterator[int]:
-    """Plays a journal again on a session of its setup; gives the frame that comes next, at times.
+    """Plays a journal again on a session of its setup; after each chunk, the frame that comes next.
 
     Args:
         session: at its beginning.
         lines: of `read`.
-        path: for what is said.
+        path: of the journal, for error texts.
         before_step: called before each tick.
 
     Raises:
@@ -264,7 +270,7 @@ def play(
     """
     chunk = session.setup.loop.chunk
     for line in lines:
-        # Every chunk that was played has its line: nothing is far ahead of the last one.
+        # Every chunk has its line, so the next line is at most a chunk ahead.
         if line["at"] > session.frame.number + chunk:
             raise ResultsError(f"{path}: at frame {line['at']}: lines are missing before it")
         while session.frame.number < line["at"]:

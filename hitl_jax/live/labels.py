@@ -1,7 +1,7 @@
-"""Labels: which frames a person judged dangerous, and what line 8 makes of them afterwards.
+"""Labels: which frames a person judged dangerous, and how line 8 is computed again from them.
 
 A label names the frames that the person saw, and often comes some frames later. So the boundary
-is computed again from the first of them; alarms stay as they were raised.
+is computed again from the first of them. Alarms stay as they were raised.
 """
 
 import dataclasses
@@ -23,12 +23,12 @@ class Label:
 
     Attributes:
         number: counts the labels of a session.
-        kind: `danger`, held or tapped; `safe`; `take`, control that the person took, or that the
-            arbiter gave; or `nobody`: no person was there to judge these frames.
+        kind: `danger`, held or tapped; `safe`; `take`, control that the person took or that the
+            arbiter gave; or `nobody`, where no person was there to judge.
         first: its first frame.
         last: its last frame; None while it goes on.
-        cause: the number of the judgement for which the arbiter gave control, with which it is
-            taken back; None for all that the person said.
+        cause: the number of the judgement for which the arbiter gave control; the two are taken
+            back together. None for all that the person said.
     """
 
     number: int
@@ -41,20 +41,18 @@ class Label:
 def judged(labels: Sequence[Label], first: int, stop: int) -> np.ndarray:
     """Whether each frame of [first, stop) was judged dangerous, bool [stop - first].
 
-    Of what was said about one frame, the last word counts.
+    Where labels overlap, the last one counts.
     """
-    return _last_word(labels, first, stop, ("danger", "take"))
+    return _last_is(labels, first, stop, ("danger", "take"))
 
 
 def unjudged(labels: Sequence[Label], first: int, stop: int) -> np.ndarray:
     """Whether nobody was there to judge each frame of [first, stop), bool [stop - first]."""
-    return _last_word(labels, first, stop, ("nobody",))
+    return _last_is(labels, first, stop, ("nobody",))
 
 
-def _last_word(
-    labels: Sequence[Label], first: int, stop: int, kinds: tuple[str, ...]
-) -> np.ndarray:
-    """Whether what was said last about each frame of [first, stop) is of these kinds."""
+def _last_is(labels: Sequence[Label], first: int, stop: int, kinds: tuple[str, ...]) -> np.ndarray:
+    """Whether the last label of each frame of [first, stop) is of these kinds."""
     found = np.zeros(max(stop - first, 0), bool)
     for label in labels:
         if label.last is None or label.last >= first:
@@ -63,14 +61,14 @@ def _last_word(
     return found
 
 
-def moved(
+def boundary_along(
     hyper: RunHyper,
     start: chex.Array,
     alarmed: chex.Array,
     dangerous: chex.Array,
     live: chex.Array,
 ) -> tuple[chex.Array, chex.Array, chex.Array]:
-    """Line 8 along K frames of the source `rule`.
+    """Computes line 8 of Algorithm 1 along K frames, for the boundary source `rule`.
 
     Args:
         hyper: the run's hyperparameters, scalars.
@@ -80,8 +78,8 @@ def moved(
         live: whether a step was taken from the frame, bool [K].
 
     Returns:
-        τ_t, τ_{t+1} and r'_t of each frame, [K] each. From a frame without a step the boundary does
-        not move.
+        τ_t, τ_{t+1} and r'_t of each frame, [K] each. A frame without a step does not move the
+        boundary.
     """
 
     def one(

@@ -1,4 +1,4 @@
-"""What a person may say to a session, as it comes from a page and stands in a journal."""
+"""The messages of a person to a session, as a page sends them and a journal keeps them."""
 
 import json
 import math
@@ -10,8 +10,8 @@ from hitl_jax.live.session import Session
 SPEEDS = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Factors of real time; None is as fast as the machine can."""
 
-Command = dict[str, Any]
-"""`type`, and the fields that it needs."""
+PersonMessage = dict[str, Any]
+"""`type`, and the fields of that type."""
 
 _FIELDS: dict[str, dict[str, type]] = {
     "danger": {"down": bool, "frame": int},
@@ -26,22 +26,22 @@ _FIELDS: dict[str, dict[str, type]] = {
     "speed": {"factor": float},
     "seen": {"frame": int},
 }
-_NOTED: dict[str, dict[str, type]] = {"gone": {"frame": int}, "no_answer": {"frame": int}}
-"""What no page says, and a journal has."""
+_JOURNAL_FIELDS: dict[str, dict[str, type]] = {"gone": {"frame": int}, "no_answer": {"frame": int}}
+"""Of messages that the program writes into a journal itself; a page may not send them."""
 
 JUDGING = ("danger", "safe", "take", "let_go", "hands", "assist", "undo", "gone")
-"""What changes the session; the others change how fast it is shown. `gone` no page says: it stands
-in a journal where the page of a person, who saw `frame` last, answered no more."""
+"""Types that change the session; the others change how fast it is played. `gone` is written where
+the page of a person, who saw `frame` last, stopped answering."""
 
 
-def parse(text: str | bytes) -> Command:
-    """A command of a message.
+def parse(text: str | bytes) -> PersonMessage:
+    """Reads a message that a page sent.
 
     Args:
         text: JSON, an object.
 
     Raises:
-        ValueError: one line, if it is none.
+        ValueError: one line, if it is not one of these messages.
     """
     try:
         said = json.loads(text)
@@ -53,12 +53,12 @@ def parse(text: str | bytes) -> Command:
 
 
 def require_known(said: Mapping[str, Any]) -> None:
-    """Refuses what no session has noted.
+    """Checks a message of a journal.
 
     Raises:
-        ValueError: one line.
+        ValueError: one line, if no session writes it.
     """
-    known = _FIELDS | _NOTED
+    known = _FIELDS | _JOURNAL_FIELDS
     if said.get("type") not in list(known):
         raise ValueError(f"its type must be one of {', '.join(known)}")
     if set(said) != {"type", *known[said["type"]]}:
@@ -85,33 +85,33 @@ def _field(kind: str, name: str, wanted: type, value: Any) -> Any:
 def _is_number(value: Any) -> bool:
     try:
         return type(value) in (int, float) and math.isfinite(value)
-    except OverflowError:  # Of a whole number that no float can be.
+    except OverflowError:  # An integer that is too large for a float.
         return False
 
 
 def apply(session: Session, said: Mapping[str, Any]) -> dict[str, Any]:
-    """Does to a session what a person said.
+    """Makes a session do what a person said.
 
     Args:
         session: before its next step.
-        said: of `JUDGING`.
+        said: a message of a type in `JUDGING`.
 
     Returns:
-        What the journal keeps beside it: the label that was taken back.
+        What the journal keeps with the message: the label that was taken back.
 
     Raises:
         ValueError: one line, where it cannot be done.
     """
-    kind = said["type"]
+    kind, person = said["type"], session.person
     if kind == "danger":
-        session.danger(said["down"], said["frame"])
+        person.danger(said["down"], said["frame"])
     elif kind in ("safe", "take", "let_go", "gone"):
-        getattr(session, kind)(said["frame"])
+        getattr(person, kind)(said["frame"])
     elif kind == "hands":
-        session.move(said["action"])
+        person.move(said["action"])
     elif kind == "assist":
-        session.assist(said["on"])
+        person.assist(said["on"])
     elif kind == "undo":
-        label = session.undo()
+        label = person.undo()
         return {"label": None if label is None else vars(label)}
     return {}

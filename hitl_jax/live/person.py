@@ -1,4 +1,7 @@
-"""The person as a part of the team: judgement and actions come from outside, at each step anew."""
+"""The person as the human of a team: judgement and actions are inputs of each step.
+
+All of it is pure; `live_person` keeps what the person said.
+"""
 
 import dataclasses
 
@@ -18,31 +21,31 @@ from hitl_jax.types import Behavior
 
 
 @struct.dataclass
-class Told:
+class PersonInput:
     """What a person does at one step.
 
     Attributes:
         dangerous: the judgement h_t = 0, bool [].
-        takes: the person has the controls, whatever the alarm says, bool [].
-        assisted: an assistant walks in the person's place, bool [].
-        action: what the person's keys ask of hips and knees, [A].
-        boundary: τ_t, which a label that came late may have changed, [].
+        in_control: whether the person has control, with or without an alarm, bool [].
+        assisted: whether an assistant acts in the person's place, bool [].
+        action: the person's action, [A].
+        boundary: τ_t, which a late label may have changed, [].
     """
 
     dangerous: chex.Array
-    takes: chex.Array
+    in_control: chex.Array
     assisted: chex.Array
     action: chex.Array
     boundary: chex.Array
 
 
 @struct.dataclass
-class Hands:
-    """What the source of the person's actions remembers.
+class ActionsState:
+    """The state of `actions`.
 
     Attributes:
-        assisted: as in `Told`.
-        action: as in `Told`.
+        assisted: as in `PersonInput`.
+        action: as in `PersonInput`.
         assistant: the assistant's own state.
     """
 
@@ -52,7 +55,7 @@ class Hands:
 
 
 def judge() -> HumanPart:
-    """The judgement that was told; its state is that, bool []."""
+    """A human whose judgement is its state, h_t = 0 as bool []; `with_input` sets it."""
 
     def judged(
         state: State,
@@ -72,19 +75,23 @@ def judge() -> HumanPart:
     )
 
 
-def hands(num_actions: int, assistant: ActionSource | None = None) -> ActionSource:
-    """The actions that were told, or an assistant's.
+def actions(num_actions: int, assistant: ActionSource | None = None) -> ActionSource:
+    """A human whose actions are those of `with_input`, or an assistant's.
 
     Args:
         num_actions: A.
-        assistant: walks where the person asks for it; by default gymnasium's scripted walker.
+        assistant: acts where the person asks for it; by default gymnasium's scripted walker.
     """
     helper = assistant or scripted_walker()
 
-    def init() -> Hands:
-        return Hands(jnp.zeros((), bool), jnp.zeros((num_actions,), jnp.float32), helper.init())
+    def init() -> ActionsState:
+        return ActionsState(
+            jnp.zeros((), bool), jnp.zeros((num_actions,), jnp.float32), helper.init()
+        )
 
-    def act(state: Hands, observation: chex.Array, key: chex.PRNGKey) -> tuple[Hands, chex.Array]:
+    def act(
+        state: ActionsState, observation: chex.Array, key: chex.PRNGKey
+    ) -> tuple[ActionsState, chex.Array]:
         assistant_state, action = helper.act(state.assistant, observation, key)
         chosen = jnp.where(state.assisted, action, state.action)
         return dataclasses.replace(state, assistant=assistant_state), chosen
@@ -98,20 +105,20 @@ def hands(num_actions: int, assistant: ActionSource | None = None) -> ActionSour
     )
 
 
-def tell(agent: Agent, state: ActingState, told: Told) -> ActingState:
-    """Acting of a team with `judge` and `hands`, told what the person does at the next step.
+def with_input(agent: Agent, state: ActingState, said: PersonInput) -> ActingState:
+    """Puts what the person does into the acting state of a team with `judge` and `actions`.
 
-    Control that was taken goes on by the arbiter's own rule, since who is in control judges the
-    state to be dangerous; it ends when the person lets go, however short it was.
+    The arbiter keeps control with a person who has it, since they judge the state to be dangerous.
+    Control ends when the person lets go, without a minimum time.
     """
     memory = state.arbiter
     if agent.config.intervention == "takeover":
-        memory = ArbiterState(hold=jnp.zeros_like(memory.hold), in_control=told.takes)
+        memory = ArbiterState(hold=jnp.zeros_like(memory.hold), in_control=said.in_control)
     return dataclasses.replace(
         state,
-        boundary=told.boundary,
-        human=told.dangerous | told.takes,
-        source=dataclasses.replace(state.source, assisted=told.assisted, action=told.action),
+        boundary=said.boundary,
+        human=said.dangerous | said.in_control,
+        source=dataclasses.replace(state.source, assisted=said.assisted, action=said.action),
         arbiter=memory,
     )
 
@@ -122,7 +129,7 @@ def act(
     behavior: Behavior,
     state: ActingState,
     observation: chex.Array,
-    told: Told | None,
+    said: PersonInput | None,
 ) -> tuple[ActingState, chex.Array]:
     """One step of acting.
 
@@ -132,20 +139,20 @@ def act(
         behavior: what acting needs of the parameters.
         state: the acting state.
         observation: s_t, [O].
-        told: what the person does; None where there is none.
+        said: what the person does; None where there is no person.
 
     Returns:
-        As `decisions.act_or_begin`.
+        As `packed_decision.act_or_begin`.
     """
-    if told is not None:
-        state = tell(agent, state, told)
+    if said is not None:
+        state = with_input(agent, state, said)
     return act_or_begin(agent, hyper, behavior, state, observation, jnp.asarray(True))
 
 
-def see(
+def indicator_and_alarm(
     agent: Agent, observation: chex.Array, boundary_now: chex.Array
 ) -> tuple[chex.Array, chex.Array]:
-    """c_t, [], and whether it raises the alarm, bool [].
+    """The indicator c_t, [], and whether it raises the alarm, bool [].
 
     Args:
         agent: the team.

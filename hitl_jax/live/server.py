@@ -1,4 +1,4 @@
-"""The page and its socket, for browsers on this machine: one who controls, any number who watch."""
+"""The page and its socket, for browsers on this machine: one controls, any number watch."""
 
 import asyncio
 import contextlib
@@ -19,33 +19,39 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from hitl_jax.live import messages as commands
-from hitl_jax.live.connection_limits import Doorway, make_server
-from hitl_jax.live.pacing import Conductor, Message
+from hitl_jax.live import messages
+from hitl_jax.live.connection_limits import ConnectionLimits, make_server
+from hitl_jax.live.pacing import PacedSession
+from hitl_jax.live.page_updates import PageUpdate
 
-LONGEST_MESSAGE = 4096
-"""Of what a page may send [bytes]."""
+MAX_MESSAGE_BYTES = 4096
+"""Of a message that a page sends."""
 
-MOST_MESSAGES = 200
+MAX_MESSAGES = 200
 """That a page may send in a second."""
 
-_PATIENCE = 20
-"""How many of them may mean nothing."""
+_MAX_INVALID = 20
+"""Of these messages, how many may be invalid."""
 
 _PAGE = pathlib.Path(__file__).parent / "page"
 _BYTE = r"(?:25[0-5]|2[0-4]\d|1\d\d|[1-9]?\d)"
 _HOST = re.compile(
     rf"(localhost|127(?:\.{_BYTE}){{3}}|\[::1\])(?::(\d{{1,5}}))?", re.ASCII | re.IGNORECASE
 )
-"""Names of this machine, which nobody else can own, and a port."""
+"""A name of this machine that no other machine can have, and a port."""
 
 _PORTS = {"http": 80, "https": 443}
-"""That an address leaves out."""
+"""Ports that an address may leave out."""
 
-_REFUSED, _TOO_MANY, _SLOW, _FOREIGN = 4403, 4429, 4408, 4400
-_WAITING = 500
-_GRACE = 5.0
-"""For how long the controls are kept for a page that was lost, before another has them [s]."""
+_NO_TOKEN, _TOO_MANY, _TOO_SLOW, _NOT_ALLOWED = 4403, 4429, 4408, 4400
+"""Codes with which a socket is closed."""
+
+_MAX_WAITING = 500
+"""Updates that may wait for a page."""
+
+_RECONNECT_SECONDS = 5.0
+"""How long a page that was lost can come back to its control, before a watcher gets it [s]."""
+
 _HEADERS = {
     "Content-Security-Policy": "default-src 'self'; frame-ancestors 'none'; base-uri 'none'",
     "Referrer-Policy": "no-referrer",
@@ -54,10 +60,10 @@ _HEADERS = {
 }
 
 
-class _OwnNames:
-    """Refuses requests for other names than this machine's own.
+class _LocalNamesOnly:
+    """Refuses requests whose Host is not a name of this machine.
 
-    Or a site whose name leads here (DNS rebinding) could read the page.
+    Otherwise a site whose name resolves to this machine (DNS rebinding) could read the page.
     """
 
     def __init__(self, app: ASGIApp):
@@ -72,11 +78,11 @@ class _OwnNames:
         await app(scope, receive, send)
 
 
-def is_own(headers: Headers) -> bool:
-    """Whether a request comes from this server's page, or from no page at all.
+def is_same_origin(headers: Headers) -> bool:
+    """Whether a request comes from this server's page, or from a program that is no browser.
 
-    A browser tells the origin of the page that asks. It must have the host and the port that the
-    request names, which differ from the server's where a tunnel leads to it.
+    A browser sends the origin of the page that asks. It must have the host and port that the
+    request names; behind a tunnel they are not the server's own.
 
     Args:
         headers: of a request for a name of this machine.
@@ -87,58 +93,62 @@ def is_own(headers: Headers) -> bool:
     scheme, _, name = origins[0].lower().partition("://")
     if len(origins) > 1 or scheme not in _PORTS:
         return False
-    place = _place(name, scheme)
-    return place is not None and place == _place(headers["host"], scheme)
+    origin = _host_and_port(name, scheme)
+    return origin is not None and origin == _host_and_port(headers["host"], scheme)
 
 
-def _place(host: str, scheme: str) -> tuple[str, int] | None:
-    """Name and port of this machine; None of another."""
+def _host_and_port(host: str, scheme: str) -> tuple[str, int] | None:
+    """Name and port, if they are this machine's; else None."""
     found = _HOST.fullmatch(host)
     return found and (found[1].lower(), int(found[2] or _PORTS[scheme]))
 
 
 class Outbox:
-    """What waits to be sent to one page: of frames the newest alone, of all else everything."""
+    """Updates that wait to be sent to one page: the newest frame, and all others."""
 
     def __init__(self) -> None:
-        """Nothing waits yet."""
-        self._others: list[Message] = []
-        self._frame: Message | None = None
+        """Begins empty."""
+        self._others: list[PageUpdate] = []
+        self._frame: PageUpdate | None = None
         self._filled = asyncio.Event()
         self.slow = False
 
-    def put(self, message: Message) -> None:
-        """Adds a message; does not wait."""
-        if message["type"] == "frame":
-            self._frame = message
-        elif message["type"] == "status" and self._others and self._others[-1]["type"] == "status":
-            self._others[-1] = message
+    def put(self, update: PageUpdate) -> None:
+        """Adds an update; does not wait."""
+        if update["type"] == "frame":
+            self._frame = update
+        elif update["type"] == "status" and self._others and self._others[-1]["type"] == "status":
+            self._others[-1] = update
         elif not self.slow:
-            self._others.append(message)
-            self.slow = len(self._others) > _WAITING
+            self._others.append(update)
+            self.slow = len(self._others) > _MAX_WAITING
         self._filled.set()
 
-    async def take(self) -> list[Message]:
-        """All that waits, once there is something."""
+    async def take(self) -> list[PageUpdate]:
+        """Takes all that waits, as soon as there is something."""
         await self._filled.wait()
         self._filled.clear()
-        messages, self._others = self._others, []
+        updates, self._others = self._others, []
         if self._frame is not None:
-            messages.append(self._frame)
+            updates.append(self._frame)
             self._frame = None
-        return messages
+        return updates
 
 
-class Rate:
-    """Counts messages: so many a second, and as many at once."""
+class RateLimit:
+    """Allows a number of messages a second, and as many at once."""
 
     def __init__(self, most: float):
-        """Begins with all that is allowed at once."""
+        """Begins with all of them allowed.
+
+        Args:
+            most: messages a second.
+        """
         self._most = self._left = most
         self._then = time.monotonic()
 
     def allows(self) -> bool:
-        """Whether one more may come now."""
+        """Counts a message; whether it is allowed now."""
         now = time.monotonic()
         self._left = min(self._left + (now - self._then) * self._most, self._most)
         self._then = now
@@ -147,44 +157,44 @@ class Rate:
         return allowed
 
 
-class _Visitor:
-    """An open page."""
+class _OpenPage:
+    """A page that is open: its socket, its role, and what waits to be sent to it."""
 
-    def __init__(self, page: WebSocket, controls: bool):
-        self.page, self.controls, self.outbox = page, controls, Outbox()
+    def __init__(self, socket: WebSocket, controls: bool):
+        self.socket, self.controls, self.outbox = socket, controls, Outbox()
 
-    def hear(self, message: Message) -> None:
-        """Takes what the conductor tells."""
-        if message["type"] == "hello":
-            message = {**message, "role": "controller" if self.controls else "watcher"}
-        self.outbox.put(message)
+    def listen(self, update: PageUpdate) -> None:
+        """Takes an update of the session."""
+        if update["type"] == "hello":
+            update = {**update, "role": "controller" if self.controls else "watcher"}
+        self.outbox.put(update)
 
-    def complain(self, text: str) -> None:
+    def show_error(self, text: str) -> None:
         self.outbox.put({"type": "error", "message": text})
 
 
-class Live:
-    """The server of one session."""
+class PageServer:
+    """Serves the page of one session."""
 
-    def __init__(self, conductor: Conductor, token: str):
+    def __init__(self, session: PacedSession, token: str):
         """Keeps what it serves.
 
         Args:
-            conductor: of the session.
+            session: what the page shows.
             token: that the address must carry.
         """
-        self._conductor, self._token = conductor, token
-        self._doorway = Doorway()
-        self._visitors: list[_Visitor] = []
-        self._grace: asyncio.TimerHandle | None = None
+        self._session, self._token = session, token
+        self._limits = ConnectionLimits()
+        self._pages: list[_OpenPage] = []
+        self._handover: asyncio.TimerHandle | None = None
 
     def server(self) -> uvicorn.Server:
-        """What `serve` takes; to end it, set its `should_exit`."""
+        """Makes what `serve` takes; its `should_exit` ends it."""
         return make_server(
             self._app(),
-            self._doorway,
+            self._limits,
             ws="websockets-sansio",  # the default of older releases is deprecated
-            ws_max_size=LONGEST_MESSAGE,
+            ws_max_size=MAX_MESSAGE_BYTES,
             timeout_graceful_shutdown=1,
         )
 
@@ -192,12 +202,13 @@ class Live:
         """Serves the page and plays the session until the server is told to end.
 
         Raises:
-            ResultsError: if the journal cannot be written: nothing is played that is not noted.
+            ResultsError: if the journal cannot be written.
             WalkerError: if the learner diverged.
         """
-        # Pages inherit it; or a frame waits up to 40 ms for word that what went before has arrived.
+        # Accepted sockets inherit it. Without it a frame waits up to 40 ms for the acknowledgement
+        # of the one before.
         listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        playing = asyncio.create_task(self._conductor.run())
+        playing = asyncio.create_task(self._session.run())
         playing.add_done_callback(lambda _: setattr(server, "should_exit", True))
         await server.serve(sockets=[listening])
         playing.cancel()
@@ -205,104 +216,106 @@ class Live:
             await playing
 
     def _app(self) -> Starlette:
-        files = [Route(f"/{path.name}", self._file) for path in _PAGE.iterdir() if path.is_file()]
+        files = [
+            Route(f"/{path.name}", self._serve_file) for path in _PAGE.iterdir() if path.is_file()
+        ]
         return Starlette(
             routes=[
-                Route("/", self._page),
+                Route("/", self._serve_page),
                 *files,
-                Route("/favicon.ico", _nothing),
-                WebSocketRoute("/socket", self._visit),
+                Route("/favicon.ico", _no_content),
+                WebSocketRoute("/socket", self._serve_socket),
             ],
-            middleware=[Middleware(_OwnNames)],
+            middleware=[Middleware(_LocalNamesOnly)],
         )
 
-    def _knows(self, token: str | None) -> bool:
+    def _is_token(self, token: str | None) -> bool:
         return secrets.compare_digest((token or "").encode(), self._token.encode())
 
-    async def _page(self, request: Request) -> Response:
-        if not self._knows(request.query_params.get("token")):
+    async def _serve_page(self, request: Request) -> Response:
+        if not self._is_token(request.query_params.get("token")):
             said = "This page needs the whole address that `hitl-jax live` printed, with its token."
             return PlainTextResponse(said, 403, headers=_HEADERS)
         return FileResponse(_PAGE / "index.html", headers=_HEADERS)
 
-    async def _file(self, request: Request) -> Response:
+    async def _serve_file(self, request: Request) -> Response:
         return FileResponse(_PAGE / request.url.path.lstrip("/"), headers=_HEADERS)
 
-    async def _visit(self, page: WebSocket) -> None:
-        """A page's socket, from when it comes to when it goes."""
-        await page.accept()
-        if not is_own(page.headers):
-            await page.close(_FOREIGN, "another site's page may not speak to this session")
+    async def _serve_socket(self, socket: WebSocket) -> None:
+        """Serves a page's socket until it closes."""
+        await socket.accept()
+        if not is_same_origin(socket.headers):
+            await socket.close(_NOT_ALLOWED, "another site's page may not speak to this session")
             return
-        if not self._knows(page.query_params.get("token")):
-            await page.close(_REFUSED, "the address needs the token that `hitl-jax live` printed")
+        if not self._is_token(socket.query_params.get("token")):
+            reason = "the address needs the token that `hitl-jax live` printed"
+            await socket.close(_NO_TOKEN, reason)
             return
-        if page.client is not None:
-            self._doorway.admit((page.client.host, page.client.port))
-        visitor = _Visitor(page, controls=not any(other.controls for other in self._visitors))
-        self._visitors.append(visitor)
-        self._conductor.listen(visitor.hear)
-        if visitor.controls:
-            if self._grace is not None:
-                self._grace.cancel()
-            self._conductor.come()
-        sending = asyncio.create_task(_send(visitor))
+        if socket.client is not None:
+            self._limits.allow((socket.client.host, socket.client.port))
+        page = _OpenPage(socket, controls=not any(other.controls for other in self._pages))
+        self._pages.append(page)
+        self._session.add_listener(page.listen)
+        if page.controls:
+            if self._handover is not None:
+                self._handover.cancel()
+            self._session.connect_person()
+        sending = asyncio.create_task(_send(page))
         try:
-            await self._hear(visitor)
+            await self._receive(page)
         except (WebSocketDisconnect, RuntimeError):
             pass
         finally:
             sending.cancel()
-            self._visitors.remove(visitor)
-            self._conductor.forget(visitor.hear)
-            if visitor.controls:
-                self._conductor.leave()
+            self._pages.remove(page)
+            self._session.remove_listener(page.listen)
+            if page.controls:
+                self._session.disconnect_person()
                 loop = asyncio.get_running_loop()
-                self._grace = loop.call_later(_GRACE, self._pass_on)
+                self._handover = loop.call_later(_RECONNECT_SECONDS, self._hand_over)
 
-    def _pass_on(self) -> None:
-        """Gives the controls to who has watched longest, if nobody came back for them."""
-        if self._visitors and not any(visitor.controls for visitor in self._visitors):
-            heir = self._visitors[0]
-            heir.controls = True
-            heir.outbox.put({"type": "role", "role": "controller"})
-            self._conductor.come()
+    def _hand_over(self) -> None:
+        """Gives control to the page that has watched longest, if none has it."""
+        if self._pages and not any(page.controls for page in self._pages):
+            first = self._pages[0]
+            first.controls = True
+            first.outbox.put({"type": "role", "role": "controller"})
+            self._session.connect_person()
 
-    async def _hear(self, visitor: _Visitor) -> None:
-        """Does what a page says until it goes or is sent away."""
-        rate, wrong = Rate(MOST_MESSAGES), Rate(_PATIENCE)
+    async def _receive(self, page: _OpenPage) -> None:
+        """Does what a page says until it closes or breaks a limit."""
+        all_messages, invalid = RateLimit(MAX_MESSAGES), RateLimit(_MAX_INVALID)
         while True:
-            message = await visitor.page.receive()
+            message = await page.socket.receive()
             if message["type"] == "websocket.disconnect":
                 return
-            if not rate.allows():
-                reason = f"more than {MOST_MESSAGES} messages a second"
-                await visitor.page.close(_TOO_MANY, reason)
+            if not all_messages.allows():
+                await page.socket.close(_TOO_MANY, f"more than {MAX_MESSAGES} messages a second")
                 return
             try:
-                command = commands.parse(message.get("text") or "")
-                if visitor.controls:
-                    self._conductor.say(command)
-                elif command["type"] != "seen":  # Whether those who only watch do is not asked.
+                said = messages.parse(message.get("text") or "")
+                if page.controls:
+                    self._session.handle(said)
+                elif said["type"] != "seen":  # Pages that watch answer frames too; it is ignored.
                     raise ValueError("somebody else controls this session; you can watch")
             except ValueError as error:
-                visitor.complain(str(error))
-                if not wrong.allows():
-                    reason = f"more than {_PATIENCE} messages a second that mean nothing"
-                    await visitor.page.close(_FOREIGN, reason)
+                page.show_error(str(error))
+                if not invalid.allows():
+                    reason = f"more than {_MAX_INVALID} messages a second that mean nothing"
+                    await page.socket.close(_NOT_ALLOWED, reason)
                     return
 
 
-async def _nothing(_: Request) -> Response:
+async def _no_content(_: Request) -> Response:
     return Response(status_code=204)
 
 
-async def _send(visitor: _Visitor) -> None:
-    """Sends what waits; one who is too slow is sent away, and holds nobody up."""
-    page, outbox = visitor.page, visitor.outbox
+async def _send(page: _OpenPage) -> None:
+    """Sends what waits for a page; closes one that reads too slowly."""
+    socket, outbox = page.socket, page.outbox
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-        while page.application_state is WebSocketState.CONNECTED:
-            for message in await outbox.take():
-                await page.send_text(json.dumps(message, separators=(",", ":")))
+        while socket.application_state is WebSocketState.CONNECTED:
+            for update in await outbox.take():
+                await socket.send_text(json.dumps(update, separators=(",", ":")))
             if outbox.slow:
-                await page.close(_SLOW, "this page is too slow for the session")
+                await socket.close(_TOO_SLOW, "this page is too slow for the session")

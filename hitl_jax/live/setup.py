@@ -14,17 +14,17 @@ from hitl_jax.training.run_spec import LoopConfig
 from hitl_jax.types import Params, TrainState
 
 
-class Setup(NamedTuple):
+class SessionSetup(NamedTuple):
     """What a session begins with.
 
     Attributes:
-        agent: the team; with a person, one of `person.judge` and `person.hands`.
+        agent: the team; with a person, made with `person.judge` and `person.actions`.
         hyper: the run's hyperparameters, host scalars.
         loop: how much it learns.
-        method: whose episodes are played.
+        method: which method of the paper it runs.
         seed: of the run.
         with_person: whether a person judges.
-        learns: whether it trains; else a trained walker is tested.
+        learns: whether it trains; otherwise a trained walker is tested.
         start: networks to begin with, as `checkpoint.unflatten` gives them; None is from scratch.
             They act from the first step on, and learn after the warm-up.
     """
@@ -39,13 +39,13 @@ class Setup(NamedTuple):
     start: dict[str, Params] | None = None
 
     def first_train(self, key: chex.PRNGKey) -> TrainState:
-        """The training state at the start; with networks of before it has fresh optimisers.
+        """The training state at the start; with networks to begin with, it has fresh optimisers.
 
         Args:
             key: of the run's learning, [].
 
         Raises:
-            ValueError: one line, if those networks are not this team's.
+            ValueError: one line, if the networks are not this team's.
         """
         train = agents.init(self.agent, key)
         return train if self.start is None else _started(train, self.start)

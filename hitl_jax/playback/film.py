@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from hitl_jax.analysis.figure_style import COLOURS, GREY, import_matplotlib
 from hitl_jax.envs import Command
 from hitl_jax.envs.jax_pool import JaxPool
-from hitl_jax.envs.visible_walker import Answer, VisibleWalker
+from hitl_jax.envs.visible_walker import StepResult, VisibleWalker
 from hitl_jax.playback.draw_walker import Stage
 from hitl_jax.results.atomic_files import write_bytes_atomic
 from hitl_jax.results.recorded_episodes import Recording
@@ -86,12 +86,12 @@ class _JaxPlant:
         self._seed[0] = seed
         return self._tick(Command.RESET, np.zeros(4)).observation
 
-    def step(self, action: np.ndarray) -> Answer:
+    def step(self, action: np.ndarray) -> StepResult:
         return self._tick(Command.STEP, action)
 
-    def _tick(self, command: int, action: np.ndarray) -> Answer:
+    def _tick(self, command: int, action: np.ndarray) -> StepResult:
         answer = self._pool.step(np.array([command]), action[None], self._seed)
-        return Answer(
+        return StepResult(
             answer.observation[0],
             float(answer.reward[0]),
             bool(answer.terminated[0]),

@@ -87,7 +87,10 @@ def write_answer(rows: np.ndarray, answer: StepBatch, layout: Layout) -> None:
 
 
 def stored_ends(
-    terminated: np.ndarray, truncated: np.ndarray, human_reset: np.ndarray, reset_terminates: bool
+    terminated: np.ndarray,
+    truncated: np.ndarray,
+    human_reset: np.ndarray,
+    reset_terminates: bool | np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """How an end is stored: whether with the bootstrap, and whether without, bool [...] each.
 
@@ -95,7 +98,7 @@ def stored_ends(
         terminated: the environment ended the task, bool [...].
         truncated: the environment cut the episode off, bool [...].
         human_reset: the human ended the episode, bool [...].
-        reset_terminates: whether that ends the bootstrap.
+        reset_terminates: whether that ends the bootstrap, bool or [...].
 
     Returns:
         `terminated` and `truncated` of the stored frame; at most one is true.

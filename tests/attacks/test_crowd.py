@@ -13,7 +13,7 @@ from live_team import TOKEN, Served, setup_of
 from websockets.sync.client import connect
 
 from hitl_jax.benchmarks.crowd import crowd, seconds_of_page
-from hitl_jax.live.connection_limits import Doorway, FewLines, make_server
+from hitl_jax.live.connection_limits import ConnectionLimits, LogLimit, make_server
 from hitl_jax.live.session import Session
 
 _REQUEST = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n"
@@ -33,10 +33,10 @@ async def _app(scope, receive, send):
 
 
 @contextlib.contextmanager
-def _served(doorway):
+def _served(limits):
     """The port of a server in a thread."""
     listening = socket.create_server(("127.0.0.1", 0))
-    server = make_server(_app, doorway, ws="websockets-sansio", timeout_graceful_shutdown=1)
+    server = make_server(_app, limits, ws="websockets-sansio", timeout_graceful_shutdown=1)
     thread = threading.Thread(target=lambda: asyncio.run(server.serve([listening])))
     thread.start()
     try:
@@ -78,7 +78,7 @@ def _is_closed(one, seconds=5.0):
 )
 def test_a_stranger_may_stay_for_a_while_only(said):
     with (
-        _served(Doorway(patience=0.3)) as port,
+        _served(ConnectionLimits(seconds=0.3)) as port,
         _connected(port) as one,
     ):
         one.sendall(said)
@@ -87,7 +87,7 @@ def test_a_stranger_may_stay_for_a_while_only(said):
 
 def test_a_trickle_of_bytes_buys_no_time():
     with (
-        _served(Doorway(patience=0.5)) as port,
+        _served(ConnectionLimits(seconds=0.5)) as port,
         _connected(port) as one,
     ):
         began = time.monotonic()
@@ -100,7 +100,7 @@ def test_a_trickle_of_bytes_buys_no_time():
 
 
 def test_the_one_that_was_idle_longest_goes_for_one_more():
-    with _served(Doorway(most=3, patience=60.0)) as port, contextlib.ExitStack() as held:
+    with _served(ConnectionLimits(most=3, seconds=60.0)) as port, contextlib.ExitStack() as held:
         first, *others = [held.enter_context(_connected(port)) for _ in range(4)]
         assert _is_closed(first)
         for one in others:
@@ -111,7 +111,9 @@ def test_the_one_that_was_idle_longest_goes_for_one_more():
 
 def test_who_has_shown_the_token_stays(tmp_path, monkeypatch):
     """A page that is open, when a crowd comes and its patience is over."""
-    monkeypatch.setattr("hitl_jax.live.server.Doorway", lambda: Doorway(most=5, patience=0.3))
+    monkeypatch.setattr(
+        "hitl_jax.live.server.ConnectionLimits", lambda: ConnectionLimits(most=5, seconds=0.3)
+    )
     with (
         Served(Session(setup_of()), tmp_path / "journal.jsonl") as served,
         served.open() as page,
@@ -139,7 +141,9 @@ def test_a_page_is_had_beside_a_crowd(tmp_path):
 
 def test_a_page_behind_a_proxy_stays(tmp_path, monkeypatch):
     """Which says for whom it asks; the connection is the proxy's."""
-    monkeypatch.setattr("hitl_jax.live.server.Doorway", lambda: Doorway(patience=0.3))
+    monkeypatch.setattr(
+        "hitl_jax.live.server.ConnectionLimits", lambda: ConnectionLimits(seconds=0.3)
+    )
     with Served(Session(setup_of()), tmp_path / "journal.jsonl") as served:
         page = connect(
             f"ws://127.0.0.1:{served.port}/socket?token={TOKEN}",
@@ -153,7 +157,9 @@ def test_a_page_behind_a_proxy_stays(tmp_path, monkeypatch):
 
 
 def test_a_page_without_the_token_is_a_stranger(tmp_path, monkeypatch):
-    monkeypatch.setattr("hitl_jax.live.server.Doorway", lambda: Doorway(patience=0.3))
+    monkeypatch.setattr(
+        "hitl_jax.live.server.ConnectionLimits", lambda: ConnectionLimits(seconds=0.3)
+    )
     with (
         Served(Session(setup_of()), tmp_path / "journal.jsonl") as served,
         _connected(served.port) as one,
@@ -167,7 +173,7 @@ def test_the_log_is_bounded():
     records = []
     handler = logging.Handler()
     handler.emit = records.append
-    with _served(Doorway()) as port:
+    with _served(ConnectionLimits()) as port:
         logger.addHandler(handler)
         for _ in range(60):
             with _connected(port) as one:
@@ -181,8 +187,8 @@ def test_the_log_is_bounded():
 def test_after_a_while_lines_are_written_again(monkeypatch):
     now = 0.0
     monkeypatch.setattr("hitl_jax.live.connection_limits.time.monotonic", lambda: now)
-    few = FewLines()
+    limit = LogLimit()
     record = logging.makeLogRecord({"msg": "said"})
-    assert sum(few.filter(record) for _ in range(1000)) == 20
+    assert sum(limit.filter(record) for _ in range(1000)) == 20
     now = 61.0
-    assert sum(few.filter(record) for _ in range(1000)) == 20
+    assert sum(limit.filter(record) for _ in range(1000)) == 20

@@ -82,7 +82,7 @@ def test_a_name_to_which_nothing_can_be_added_is_refused_at_the_start(tmp_path, 
         assert not path.exists()
     longest = tmp_path / ("a" * (most - 10))
     _begun(longest).close()
-    for ending in journal.BESIDE:
+    for ending in journal.COMPANION_ENDINGS:
         live.write_bytes_atomic(longest.with_name(longest.name + ending), b"")
 
 
@@ -238,7 +238,7 @@ def test_a_link_where_the_file_would_be_is_replaced_and_not_followed(tmp_path, m
     users = tmp_path / "thesis.tex"
     users.write_text("years of work")
     path = tmp_path / "session.jsonl"
-    path.with_name(path.name + journal.DOOR).symlink_to(users)
+    path.with_name(path.name + journal.REDIRECT_ENDING).symlink_to(users)
     with live.opened("http://127.0.0.1:1/?token=secret", path):
         pass
     assert users.read_text() == "years of work"

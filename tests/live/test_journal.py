@@ -1,4 +1,4 @@
-"""The journal of a live session: what was said plays it again, whenever it was killed."""
+"""The journal of a live session plays it again, whenever the process was killed."""
 
 import json
 
@@ -14,7 +14,7 @@ from hitl_jax.training.run_spec import LoopConfig
 
 
 def _act_upon(noted, session, upto, rng, share=0.2):
-    """Somebody who says all kinds of things."""
+    """Plays a session and sends random messages of a person."""
     while session.frame.number < upto:
         number, lottery = session.frame.number, rng.random()
         seen = max(number - int(rng.integers(0, 20)), 0)
@@ -42,7 +42,7 @@ def test_a_journal_plays_the_session_again(tmp_path):
     noted = _begun(path)
     _act_upon(noted, session, 1700, rng)  # More than the replay and than an episode hold.
     assert session.episodes
-    # Killed as it wrote a line, which may stand there in part.
+    # A process that is killed while it writes leaves a part of a line.
     path.write_bytes(path.read_bytes() + b'{"at":1701,"sa')
     header, lines = journal.read(path)
     assert header == {"journal": journal.VERSION, "mode": "train"}
@@ -62,8 +62,8 @@ def test_a_journal_plays_the_session_again(tmp_path):
     _act_upon(noted, again, 1760, rng)
     noted.close()
     assert all(json.loads(line) for line in path.read_text().splitlines())
-    # What stands of each frame that is kept is what the labels say.
-    kept = range(again.frame.number - again._books.size + 1, again.frame.number)
+    # The flags of the kept frames are those of the labels.
+    kept = range(again.oldest_frame, again.frame.number)
     said = judged(again.labels, kept.start, kept.stop)
     for number, dangerous in zip(kept, said, strict=True):
         assert again.flag("dangerous", number) == (dangerous and again.flag("live", number))

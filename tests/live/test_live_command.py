@@ -160,7 +160,7 @@ def test_a_journal_of_other_versions_says_so(tmp_path, capsys):
         noted = journal.Journal(path)
         noted.begin(header | {"made": made | {"versions": made["versions"] | {name: value}}})
         noted.close()
-        assert live._lines_of(path, header) == []
+        assert live.lines_of(path, header) == []
         now = made["versions"].get(name, "none")
         assert capsys.readouterr().out == f"{path} was begun with {name} {value}, now {now}\n"
 
@@ -173,10 +173,10 @@ def test_a_session_from_before_a_choice_was_one_goes_on_with_its_default(tmp_pat
     noted = journal.Journal(path)
     noted.begin(old)
     noted.close()
-    assert live._lines_of(path, header) == []
+    assert live.lines_of(path, header) == []
     header["agent"]["matmul_precision"] = "bfloat16"
     with pytest.raises(ResultsError, match="matmul_precision float32, asked for bfloat16"):
-        live._lines_of(path, header)
+        live.lines_of(path, header)
 
 
 @pytest.mark.parametrize(

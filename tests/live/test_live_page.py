@@ -291,7 +291,7 @@ def test_a_page_that_stands_still_lets_go_and_says_why_it_paused(page, tmp_path)
         _shows(page, "judgement", "safe")
         # The key is still down, but counts no more.
         expect(page.locator("#danger")).not_to_have_class(re.compile("held"))
-        assert not session.dangerous
+        assert not session.person.dangerous
         [gone] = _said(served, "gone")
         stopped = session.frame.number
         assert gone["frame"] < stopped

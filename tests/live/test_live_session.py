@@ -1,4 +1,4 @@
-"""A session that a person watches: late labels, and what is taken back."""
+"""A session that a person watches: late labels, and labels that are taken back."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ from hitl_jax import boundary
 from hitl_jax.envs import WalkerError
 from hitl_jax.envs.visible_walker import VisibleWalker
 from hitl_jax.live import messages, person
-from hitl_jax.live.labels import Label, judged, moved
+from hitl_jax.live.labels import Label, boundary_along, judged
 from hitl_jax.live.session import Session
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training.run_spec import episode_seed
@@ -32,8 +32,8 @@ def test_a_label_lands_on_the_frame_that_was_seen(silent):
     session = Session(setup_of("penalty"))
     play(session, seen + late)
     before = session.frame.boundary
-    session.danger(True, seen)
-    session.danger(False, seen)
+    session.person.danger(True, seen)
+    session.person.danger(False, seen)
     assert [n for n in range(seen + late) if session.flag("dangerous", n)] == [seen]
     # A false alarm of Δ⁺ has become a true one of Δ⁻.
     assert session.frame.boundary == pytest.approx(before - 0.02, abs=1e-6)
@@ -51,12 +51,12 @@ def test_a_judgement_in_time_equals_one_that_came_late(silent):
     first, last = alarms[0], alarms[0] + 6
     in_time, late = Session(setup_of("penalty")), Session(setup_of("penalty"))
     play(in_time, first)
-    in_time.danger(True, first)
+    in_time.person.danger(True, first)
     play(in_time, last)
-    in_time.danger(False, last - 1)
+    in_time.person.danger(False, last - 1)
     play(late, last)
-    late.danger(True, first)
-    late.let_go(last)  # Or the arbiter would hear of it, and might intervene now.
+    late.person.danger(True, first)
+    late.person.let_go(last)  # Or the arbiter might intervene now.
     columns = [
         late.setup.agent.layout.boundary_reward,
         *(late.setup.agent.layout.boundary + i for i in (0, 1)),
@@ -74,11 +74,11 @@ def test_what_is_taken_back_leaves_no_trace(silent, ticks):
     session = Session(setup_of())
     play(session, 45)
     silence = next(n for n in range(45) if n not in alarms)
-    session.danger(True, silence)
-    session.danger(False, min(alarms[0] + 3, 44))
-    session.safe(44)
-    session.undo()
-    label = session.undo()
+    session.person.danger(True, silence)
+    session.person.danger(False, min(alarms[0] + 3, 44))
+    session.person.safe(44)
+    session.person.undo()
+    label = session.person.undo()
     assert (label.kind, label.first) == ("danger", silence)
     assert session.labels == []
     play(session, 45 + ticks)
@@ -92,11 +92,11 @@ def test_an_intervention_that_is_taken_back_costs_nothing():
     session = Session(setup_of())
     layout = session.setup.agent.layout
     play(session, 20)
-    session.take(18)
-    session.move([1, -1, 0.5, 0])
-    assert session.controls
+    session.person.take(18)
+    session.person.move([1, -1, 0.5, 0])
+    assert session.person.in_control
     play(session, 30)
-    session.let_go(29)
+    session.person.let_go(29)
     play(session, 48)
     rows = stored(session)
     np.testing.assert_array_equal(rows[20:30, layout.action], [[1, -1, 0.5, 0]] * 10)
@@ -104,7 +104,7 @@ def test_an_intervention_that_is_taken_back_costs_nothing():
     assert session.interventions == 1
     assert [n for n in range(48) if session.flag("control", n)] == list(range(20, 30))
     assert [n for n in range(48) if session.flag("dangerous", n)] == list(range(18, 29))
-    session.undo()
+    session.person.undo()
     after = stored(session)
     np.testing.assert_allclose(
         after[20:30, layout.reward], rows[20:30, layout.reward] + 20, atol=1e-5
@@ -116,15 +116,15 @@ def test_the_arbiter_hands_over_where_alarm_and_judgement_agree(silent):
     _, alarms = silent
     session = Session(setup_of())
     play(session, alarms[0])
-    session.danger(True, alarms[0])
-    session.danger(False, alarms[0])  # A tap: over before the next step, heard all the same.
+    session.person.danger(True, alarms[0])
+    session.person.danger(False, alarms[0])  # A tap counts, though it ends before the step.
     session.tick()
-    assert session.controls
+    assert session.person.in_control
     assert session.interventions == 1
     session.tick()
     assert session.interventions == 1
-    session.safe(session.frame.number)
-    assert not session.controls
+    session.person.safe(session.frame.number)
+    assert not session.person.in_control
 
 
 @pytest.mark.parametrize("intervention", ["takeover", "penalty", "reset"])
@@ -135,8 +135,8 @@ def test_a_judgement_that_comes_late_can_give_control_and_is_taken_back_whole(si
     session = Session(setup_of(intervention))
     layout = session.setup.agent.layout
     play(session, at)
-    session.danger(True, at - 4)
-    session.danger(False, at - 4)
+    session.person.danger(True, at - 4)
+    session.person.danger(False, at - 4)
     assert [n for n in range(at) if session.flag("dangerous", n)] == [at - 4]
     play(session, at + 3)
     until = at + 3 if intervention == "takeover" else at + 1
@@ -145,20 +145,20 @@ def test_a_judgement_that_comes_late_can_give_control_and_is_taken_back_whole(si
     assert session.flag("control", at)
     # Who intervened judged the frame: the alarm was a true one.
     session.tick()
-    assert session._books.frames(at, at + 1)[0, layout.boundary_reward] == 1.0
-    if session.controls:
-        session.let_go(session.frame.number)
-    session.safe(at - 4)
+    assert session.frames(at, at + 1)[0, layout.boundary_reward] == 1.0
+    if session.person.in_control:
+        session.person.let_go(session.frame.number)
+    session.person.safe(at - 4)
     assert not session.flag("dangerous", at - 4)
-    session.undo()
+    session.person.undo()
     assert session.flag("dangerous", at - 4)
-    session.undo()
+    session.person.undo()
     assert session.labels == []
     assert not any(session.flag("dangerous", n) for n in range(at + 4))
-    # The boundary is nobody's, as far as the alarms are nobody's.
+    # The boundary is again that of the session without a person.
     columns = [layout.boundary_reward, layout.boundary, layout.next_boundary]
     np.testing.assert_array_equal(
-        session._books.frames(0, at)[:, columns], nobody._books.frames(0, at)[:, columns]
+        session.frames(0, at)[:, columns], nobody.frames(0, at)[:, columns]
     )
 
 
@@ -167,12 +167,12 @@ def test_a_judgement_that_is_corrected_in_time_gives_no_control(silent, end):
     _, alarms = silent
     session = Session(setup_of())
     play(session, alarms[0])
-    session.danger(True, alarms[0])
-    session.danger(False, alarms[0])
-    getattr(session, end)(*([] if end == "undo" else [alarms[0]]))
+    session.person.danger(True, alarms[0])
+    session.person.danger(False, alarms[0])
+    getattr(session.person, end)(*([] if end == "undo" else [alarms[0]]))
     session.tick()
     # A tap that was over stays a judgement of its frame, unless it is called safe or taken back.
-    assert session.controls == (end == "let_go")
+    assert session.person.in_control == (end == "let_go")
 
 
 def test_a_human_reset_that_is_taken_back_does_not_end_the_bootstrap(silent):
@@ -180,26 +180,26 @@ def test_a_human_reset_that_is_taken_back_does_not_end_the_bootstrap(silent):
     session = Session(setup_of("reset"))
     layout = session.setup.agent.layout
     play(session, alarms[0])
-    session.danger(True, alarms[0])
+    session.person.danger(True, alarms[0])
     assert session.tick()["end"] == "human-reset"
     assert session.frame.ended
-    session.danger(False, session.frame.number)
+    session.person.danger(False, session.frame.number)
     play(session, 48)
     assert stored(session)[alarms[0], [layout.terminated, layout.truncated]].tolist() == [1, 0]
-    session.undo()
+    session.person.undo()
     assert stored(session)[alarms[0], [layout.terminated, layout.truncated]].tolist() == [0, 1]
 
 
 def test_assistance_walks_only_while_the_person_has_the_controls():
     session = Session(setup_of())
-    session.assist(True)
+    session.person.assist(True)
     play(session, 5)
-    session.take(5)
+    session.person.take(5)
     play(session, 10)
     layout = session.setup.agent.layout
     scripted = session.actions(5, 10)
     assert np.abs(scripted).sum() > 0
-    session.assist(False)
+    session.person.assist(False)
     session.tick()
     np.testing.assert_array_equal(session.actions(10, 11), np.zeros((1, layout.action_size)))
 
@@ -207,10 +207,10 @@ def test_assistance_walks_only_while_the_person_has_the_controls():
 @pytest.mark.parametrize(
     ("do", "said"),
     [
-        (lambda s: s.danger(True, 7), "frame 7: must be from 0 to 0"),
-        (lambda s: s.danger(True, -1), "frame -1: must be from 0 to 0"),
-        (lambda s: s.move([2.0, 0, 0, 0]), "hands: must be four numbers from -1 to 1"),
-        (lambda s: s.move([0.0]), "hands: must be four numbers from -1 to 1"),
+        (lambda s: s.person.danger(True, 7), "frame 7: must be from 0 to 0"),
+        (lambda s: s.person.danger(True, -1), "frame -1: must be from 0 to 0"),
+        (lambda s: s.person.move([2.0, 0, 0, 0]), "hands: must be four numbers from -1 to 1"),
+        (lambda s: s.person.move([0.0]), "hands: must be four numbers from -1 to 1"),
     ],
 )
 def test_what_cannot_be_done_is_refused(silent, do, said):
@@ -231,7 +231,7 @@ def test_line_8_after_the_fact_is_line_8():
     rng = np.random.default_rng(0)
     alarmed, dangerous, live = rng.random((3, 64)) < 0.6
     now, told, after, rewards = jax.tree.map(
-        np.asarray, [0.3, *moved(HYPER, 0.3, alarmed, dangerous, live)]
+        np.asarray, [0.3, *boundary_along(HYPER, 0.3, alarmed, dangerous, live)]
     )
     for n in range(64):
         assert told[n] == pytest.approx(now, abs=1e-6)
@@ -296,6 +296,6 @@ def test_a_session_begins_with_networks_that_were_learned(silent):
     assert tested.frame.boundary == pytest.approx(float(tau))
     play(tested, 32)
     other = dataclasses.replace(tested.setup.agent.config, hidden_sizes=(8,))
-    agent = make_agent(other, judge=person.judge(), source=person.hands(4))
+    agent = make_agent(other, judge=person.judge(), source=person.actions(4))
     with pytest.raises(ValueError, match="its actor has other layers"):
         Session(setup_of(agent=agent, start=start))

@@ -1,201 +1,15 @@
-"""A page that answers no more: who held something holds it no longer, and nobody judges."""
+"""A page that stops answering pauses the session; one that is slow or busy does not."""
 
 import asyncio
 import json
-import selectors
 import time
 
-import numpy as np
 import pytest
-from live_team import HYPER, Served, play, setup_of, stored
+from live_team import HYPER, Served, setup_of
+from simulated_page import FRAME, LIMIT, SimulatedPage
 
-from hitl_jax.commands import recorded
 from hitl_jax.evaluation.trials import frozen
-from hitl_jax.live import journal, messages, pacing
-from hitl_jax.live.attention import Attention
-from hitl_jax.live.labels import Label, judged, unjudged
-from hitl_jax.live.pacing import Conductor, Manners
 from hitl_jax.live.session import Session
-
-_LIMIT = 1.0
-_FRAME = 1 / pacing.RATE
-
-
-class _Selector(selectors.DefaultSelector):
-    """Whoever would wait goes on at once, and finds that the time has passed."""
-
-    now = 0.0
-
-    def select(self, timeout=None):
-        self.now += timeout or 0.0
-        return super().select(0)
-
-
-class _Page:
-    """A page of a session in time that passes at once; it shows each frame a little later."""
-
-    def __init__(self, team, late=0.02):
-        self.conductor, self.late, self.dead, self.told = team, late, False, []
-
-    def hear(self, message):
-        self.told.append(message)
-        if message["type"] == "frame":
-            loop = asyncio.get_running_loop()
-            loop.call_later(self.late, self.say, "seen", message["n"])
-
-    def say(self, kind, frame=None, **fields):
-        """Says something, unless its process stands still."""
-        if not self.dead:
-            said = fields if frame is None else {**fields, "frame": frame}
-            self.conductor.say(messages.parse(json.dumps({"type": kind, **said})))
-
-    def last(self, kind):
-        return next(m for m in reversed(self.told) if m["type"] == kind)
-
-
-class _Live:
-    """What a test sees: the session, who conducts it, and the page that controls."""
-
-    def __init__(self, session, noted, selector, manners):
-        self.session, self.conductor = session, Conductor(session, noted, manners)
-        self.selector, self.page = selector, _Page(self.conductor)
-
-    def come(self, page):
-        """A page opens and has the controls."""
-        self.page = page
-        self.conductor.listen(page.hear)
-        self.conductor.come()
-
-    def go(self):
-        """It closes."""
-        self.conductor.forget(self.page.hear)
-        self.conductor.leave()
-
-    @property
-    def number(self):
-        return self.session.frame.number
-
-
-@pytest.fixture
-def live(tmp_path, monkeypatch):
-    """Runs what happens in a session in time of its own; then its journal must play it again."""
-
-    def run(happens, setup=None, asks=False, mode="train"):
-        setup = setup or setup_of(learns=False)
-        path = tmp_path / "journal.jsonl"
-        noted = journal.Journal(path)
-        noted.begin({})
-        selector = _Selector()
-        one = _Live(Session(setup), noted, selector, Manners(mode, "", asks, 5.0, _LIMIT))
-
-        def begin():
-            loop = asyncio.SelectorEventLoop(selector)
-            loop.time = lambda: selector.now
-            return loop
-
-        async def play_it():
-            playing = asyncio.create_task(one.conductor.run())
-            one.come(one.page)
-            await asyncio.sleep(0.5)
-            await happens(one)
-            playing.cancel()
-
-        monkeypatch.setattr(pacing, "_clock", lambda: selector.now)
-        with asyncio.Runner(loop_factory=begin) as runner:
-            runner.run(play_it())
-        noted.close()
-        again = Session(setup)
-        list(journal.play(again, journal.read(path)[1], path))
-        play(again, one.number)
-        assert again.digest() == one.session.digest()
-        assert again.labels == one.session.labels
-        one.lines = journal.read(path)[1]
-        return one
-
-    return run
-
-
-def _said(one, kind):
-    return [line["said"] for line in one.lines if line.get("said", {}).get("type") == kind]
-
-
-_SILENT_FRAMES = pytest.approx(_LIMIT / _FRAME, abs=5)
-
-
-def test_danger_and_control_that_are_held_by_nobody_end(live):
-    async def happens(one):
-        one.page.say("danger", one.number, down=True)
-        one.page.say("take", one.number)
-        one.page.say("hands", action=[1, 0, 0, 0])
-        await asyncio.sleep(0.5)
-        assert one.session.controls
-        one.page.dead = True
-        one.seen = one.number - 1
-        await asyncio.sleep(40)
-        assert not one.session.controls
-        assert not one.session.dangerous
-        one.stop = one.number
-        assert one.stop - one.seen == _SILENT_FRAMES
-        await asyncio.sleep(400)
-
-    one = live(happens, setup_of())
-    session, layout = one.session, one.session.setup.agent.layout
-    assert one.number == one.stop  # Nothing more is played.
-    [gone] = _said(one, "gone")
-    assert gone["frame"] == pytest.approx(one.seen, abs=2)
-    first = gone["frame"] + 1
-    assert np.flatnonzero(unjudged(session.labels, 0, one.stop)).tolist() == [
-        *range(first, one.stop)
-    ]
-    assert not judged(session.labels, first, one.stop).any()
-    assert judged(session.labels, first - 10, first).all()
-    # It was played as it was, but it is no intervention that is punished, and moves no boundary.
-    frames = session._books.frames(first, one.stop)
-    assert (frames[:, layout.action] == [1, 0, 0, 0]).all()
-    assert (frames[:, layout.reward] > -19).any()
-    assert (session._books.frames(first - 10, first)[:, layout.reward] < -19).all()
-    assert (frames[:, layout.boundary] == frames[:, layout.next_boundary]).all()
-    assert (frames[:, layout.boundary_reward] == 0).all()
-    stored(session)
-    status, frame = one.page.last("status"), one.page.last("frame")
-    assert status["paused"]
-    assert status["labels"] == 2
-    assert "did not answer for 1 s" in status["why_paused"]
-    assert f"Nobody judged frames {first} to {one.stop - 1}." in status["why_paused"]
-    assert (frame["danger"], frame["control"], frame["n"]) == (False, "machine", one.stop)
-
-
-def test_a_page_that_holds_nothing_and_answers_no_more_stops_the_session_too(live):
-    async def happens(one):
-        before = one.number
-        one.page.dead = True
-        await asyncio.sleep(40)
-        assert one.number - before == _SILENT_FRAMES
-
-    one = live(happens)
-    [label] = one.session.labels
-    assert (label.kind, label.last) == ("nobody", one.number - 1)
-    assert one.page.last("status")["labels"] == 0
-
-
-@pytest.mark.parametrize("intervention", ["penalty", "reset"])
-def test_an_intervention_that_nobody_made_costs_nothing(live, intervention):
-    async def happens(one):
-        one.page.say("danger", one.number, down=True)
-        one.page.dead = True
-        await asyncio.sleep(40)
-
-    one = live(happens, setup_of(intervention, learns=False))
-    session, layout = one.session, one.session.setup.agent.layout
-    [gone] = _said(one, "gone")
-    nobodys = range(gone["frame"] + 1, one.number)
-    assert any(session.flag("control", n) for n in nobodys)
-    frames = session._books.frames(nobodys.start, nobodys.stop)
-    fell = frames[:, layout.terminated] > 0
-    assert (frames[~fell, layout.reward] > -19).all()
-    reset = [session.flag("human_reset", n) for n in nobodys]
-    assert any(reset) == (intervention == "reset")
-    assert (frames[reset][:, [layout.terminated, layout.truncated]] == [0, 1]).all()
 
 
 def test_silence_in_a_pause_means_nothing(live):
@@ -208,16 +22,16 @@ def test_silence_in_a_pause_means_nothing(live):
         await asyncio.sleep(0.5)
         one.page.dead = True
         await asyncio.sleep(40)
-        assert one.session.controls
+        assert one.session.person.in_control
         one.page.dead = False
         held = one.number
         one.page.say("pause", on=False)
         await asyncio.sleep(2)
         assert one.number > held + 90
-        assert one.session.controls
+        assert one.session.person.in_control
 
     one = live(happens)
-    assert _said(one, "gone") == []
+    assert one.said("gone") == []
     assert one.page.last("status")["why_paused"] is None
 
 
@@ -229,10 +43,10 @@ def test_what_was_shown_before_a_pause_is_to_be_answered(live):
         one.page.say("pause", on=True)
         one.page.dead = True
         await asyncio.sleep(40)
-        assert not one.session.controls
+        assert not one.session.person.in_control
 
     one = live(happens)
-    assert len(_said(one, "gone")) == 1
+    assert len(one.said("gone")) == 1
 
 
 @pytest.mark.parametrize("silence", [0.1, 0.5, 0.9])
@@ -244,25 +58,25 @@ def test_a_shorter_silence_means_nothing(live, silence):
             await asyncio.sleep(silence)
             one.page.dead = False
             await asyncio.sleep(0.1)
-        assert one.session.controls
+        assert one.session.person.in_control
 
-    assert _said(live(happens), "gone") == []
+    assert live(happens).said("gone") == []
 
 
 @pytest.mark.parametrize("late", [0.0, 0.3, 0.8, 3.0])
 def test_answers_that_come_late_but_come_are_answers(live, late):
-    """Over a slow line; it begins once the first has come."""
+    """Over a slow line; the session begins with the first answer."""
 
     async def happens(one):
         one.go()
-        one.come(_Page(one.conductor, late))
+        one.come(SimulatedPage(one.paced, late))
         before = one.number
         await asyncio.sleep(late + 5)
-        assert one.number - before > 200 if late < _LIMIT else one.number - before < 100
+        assert one.number - before > 200 if late < LIMIT else one.number - before < 100
 
     one = live(happens)
     # Answers of which the first after a start takes longer than the limit come too late.
-    assert len(_said(one, "gone")) == 1 + (late > _LIMIT)
+    assert len(one.said("gone")) == 1 + (late > LIMIT)
 
 
 def test_a_program_that_is_busy_hears_no_silence(live, monkeypatch):
@@ -286,15 +100,15 @@ def test_a_program_that_is_busy_hears_no_silence(live, monkeypatch):
             await asyncio.sleep(0.2)
         monkeypatch.setattr(one.session, "tick", busy(0.5))
         await asyncio.sleep(20)
-        assert one.session.controls
+        assert one.session.person.in_control
         # Nor does it take silence for an answer.
         one.page.dead = True
         before = one.number
         await asyncio.sleep(30)
-        assert not one.session.controls
+        assert not one.session.person.in_control
         assert 0 < one.number - before < 50
 
-    assert len(_said(live(happens), "gone")) == 1
+    assert len(live(happens).said("gone")) == 1
 
 
 @pytest.mark.parametrize("factor", [0.125, 1.0, 8.0, None])
@@ -313,8 +127,8 @@ def test_a_second_of_silence_is_one_at_any_speed(live, factor, monkeypatch):
         began = one.selector.now
         while not one.page.last("status")["why_paused"]:
             await asyncio.sleep(0.01)
-        slack = 0.2 + _FRAME / (factor or 1)  # Until the first frame that is not answered.
-        assert _LIMIT - 0.1 <= one.selector.now - began <= _LIMIT + slack
+        slack = 0.2 + FRAME / (factor or 1)  # Until the first frame that is not answered.
+        assert LIMIT - 0.1 <= one.selector.now - began <= LIMIT + slack
 
     live(happens)
 
@@ -353,7 +167,7 @@ def test_a_line_that_stalls_and_comes_back(live):
         assert one.page.last("status")["why_paused"]
 
     one = live(happens)
-    assert len(_said(one, "gone")) == 2
+    assert len(one.said("gone")) == 2
 
 
 def test_a_page_that_opens_again_after_its_silence_sees_why_it_stopped(live):
@@ -365,7 +179,7 @@ def test_a_page_that_opens_again_after_its_silence_sees_why_it_stopped(live):
         one.go()
         stopped = one.number
         await asyncio.sleep(40)
-        one.come(_Page(one.conductor))
+        one.come(SimulatedPage(one.paced))
         await asyncio.sleep(2)
         assert one.number == stopped
         status = one.page.last("status")
@@ -376,7 +190,7 @@ def test_a_page_that_opens_again_after_its_silence_sees_why_it_stopped(live):
         assert one.number > stopped + 40
 
     one = live(happens)
-    first, second = _said(one, "gone")
+    first, second = one.said("gone")
     kinds = [label.kind for label in one.session.labels]
     assert kinds == ["take", "nobody"]
     assert second["frame"] > first["frame"]
@@ -393,7 +207,7 @@ def test_a_page_that_is_closed_in_its_silence_is_gone_since_its_last_answer(live
 
     one = live(happens)
     take, nobody = one.session.labels
-    assert take.last == _said(one, "gone")[0]["frame"]
+    assert take.last == one.said("gone")[0]["frame"]
     assert (nobody.kind, nobody.first, nobody.last) == ("nobody", take.last + 1, one.number - 1)
     assert nobody.last - nobody.first == pytest.approx(25, abs=4)
 
@@ -402,7 +216,7 @@ def test_nothing_is_played_before_the_page_has_shown_a_frame(live):
     async def happens(one):
         one.go()
         before = one.number
-        late = _Page(one.conductor)
+        late = SimulatedPage(one.paced)
         late.dead = True
         one.come(late)
         await asyncio.sleep(40)
@@ -419,9 +233,9 @@ def test_nothing_is_played_before_the_page_has_shown_a_frame(live):
 
 def test_those_who_watch_are_not_asked_whether_they_are_there(live):
     async def happens(one):
-        other = _Page(one.conductor)
+        other = SimulatedPage(one.paced)
         other.dead = True
-        one.conductor.listen(other.hear)
+        one.paced.add_listener(other.hear)
         before = one.number
         await asyncio.sleep(5)
         assert one.number > before + 200
@@ -461,129 +275,14 @@ def test_who_is_silent_where_the_walker_asks_is_gone_after_that_frame(live):
 
     setup = setup_of(hyper=frozen(HYPER, human_present=True), learns=False)
     one = live(happens, setup, asks=True, mode="test")
-    [no_answer] = _said(one, "no_answer")
-    [gone] = _said(one, "gone")
+    [no_answer] = one.said("no_answer")
+    [gone] = one.said("gone")
     assert no_answer["frame"] == gone["frame"] == one.asked
     assert one.number > one.asked
 
 
-def test_answers_are_of_frames_that_were_shown_in_any_order():
-    one = Attention(1.0)
-    one.begin(10)
-    one.show(10)
-    with pytest.raises(ValueError, match=r"^seen: frame 11: must be from 0 to 10$"):
-        one.answer(11)
-    with pytest.raises(ValueError, match=r"^seen: frame -1: must be from 0 to 10$"):
-        one.answer(-1)
-    assert one.seen == 9
-    one.show(20)
-    one.answer(18)
-    one.answer(12)  # It was overtaken.
-    one.answer(0)  # Of a frame before the page came, which it has from somebody's time before.
-    assert one.seen == 18
-    assert [one.is_lost(1 / 16) for _ in range(20)] == [False] * 15 + [True] + [False] * 4
-    one.hear(25)  # A judgement that names a frame that was not shown.
-    assert one.seen == 20
-    assert not any(one.is_lost(0.1) for _ in range(100))  # All was answered.
-    one.show(21)
-    one.hear(None)
-    assert one.seen == 20
-    assert not one.is_lost(60.0)
-
-
-def test_a_judgement_of_frames_that_were_nobodys_counts():
-    session = Session(setup_of("penalty", learns=False))
-    play(session, 40)
-    session.gone(9)
-    assert session.labels == [Label(0, "nobody", 10, 39)]
-    start = session._books.frames(10, 11)[0, session.setup.agent.layout.boundary]
-    assert session.frame.boundary == start
-    alarmed = next(n for n in range(12, 40) if session.flag("alarmed", n))
-    session.danger(True, alarmed)
-    session.danger(False, alarmed)
-    session.let_go(40)
-    assert session.frame.boundary == pytest.approx(start - 0.01, abs=1e-6)
-    assert np.flatnonzero(~unjudged(session.labels, 10, 40)).tolist() == [alarmed - 10]
-    # To take a label back takes back the person's, not that nobody was there.
-    assert session.undo().kind == "danger"
-    assert session.undo() is None
-    assert session.labels == [Label(0, "nobody", 10, 39)]
-    assert session.frame.boundary == start
-
-
-def test_where_no_person_is_none_can_go():
-    session = Session(setup_of(with_person=False, learns=False))
-    with pytest.raises(ValueError, match="nobody is asked in this session"):
-        session.gone(0)
-
-
-@pytest.mark.parametrize(("seen", "first"), [(-1, 0), (0, 1), (9, None), (10, None), (99, None)])
-def test_where_all_was_seen_nothing_is_nobodys(seen, first):
-    session = Session(setup_of(learns=False))
-    play(session, 10)
-    session.take(5)
-    session.gone(seen)
-    assert not session.dangerous
-    assert not session.controls
-    kinds = ["take"] if first is None else ["take", "nobody"]
-    assert [label.kind for label in session.labels] == kinds
-    assert session.labels[0].last == min(seen, 9)
-
-
-def test_a_silence_longer_than_the_replay_is_nobodys_whole():
-    session = Session(setup_of(learns=False))
-    play(session, 20)
-    session.danger(True, 20)
-    play(session, 1000)
-    session.gone(30)
-    assert np.flatnonzero(judged(session.labels, 0, 1000)).tolist() == [*range(20, 31)]
-    assert unjudged(session.labels, 0, 1000).sum() == 1000 - 31
-
-
-def test_no_page_can_say_that_somebody_is_gone():
-    with pytest.raises(ValueError, match="its type must be one of"):
-        messages.parse('{"type": "gone", "frame": 3}')
-
-
-def _recorded(tmp_path, until, gone):
-    """What `hitl-jax recorded` reads where somebody judged frames 10 to 29 and was gone after."""
-    path = tmp_path / "journal.jsonl"
-    session, noted = Session(setup_of("penalty", learns=False)), journal.Journal(path)
-    noted.begin({})
-    said = {
-        10: {"type": "danger", "down": True, "frame": 10},
-        until: {"type": "gone", "frame": gone},
-    }
-    for number in range(65):
-        if number in said:
-            noted.said(session, said[number])
-        if number < 64:
-            session.tick()
-            noted.played(session)
-    noted.close()
-    return recorded._steps(Session(setup_of("penalty", learns=False)), journal.read(path)[1], path)
-
-
-def test_a_recorded_human_has_no_judgements_of_nobody(tmp_path):
-    steps = _recorded(tmp_path, until=50, gone=29)
-    assert steps.unjudged == 20
-    assert len(steps.dangerous) == len(steps.observation) == len(steps.alarmed) == 44
-    assert np.flatnonzero(steps.dangerous).tolist() == [*range(10, 30)]
-    assert np.flatnonzero(steps.begins).tolist() == [0, 30]  # A delay does not reach across.
-    assert steps.episodes == 1
-    said = "\n".join(recorded._said(steps))
-    assert "44 steps of 1 episodes; judged dangerous: 20 steps" in said
-    assert "steps that nobody was there to judge, left out: 20" in said
-
-
-def test_a_session_that_nobody_saw_has_no_judgements(tmp_path):
-    steps = _recorded(tmp_path, until=64, gone=-1)
-    assert steps.unjudged == 64
-    assert [len(column) for column in steps[:4]] == [0] * 4
-
-
 def test_a_page_that_stands_still_and_comes_back(tmp_path):
-    """By a real socket: it reads nothing, and answers nothing, for a second."""
+    """With a real socket: it reads and answers nothing for a second."""
 
     def until(page, true):
         end = time.monotonic() + 30
@@ -611,7 +310,7 @@ def test_a_page_that_stands_still_and_comes_back(tmp_path):
                 for message in map(json.loads, (other.recv(timeout=30) for _ in range(3))):
                     if message["type"] == "frame":  # Who watches answers for nobody else.
                         other.send(json.dumps({"type": "seen", "frame": message["n"]}))
-        assert not served.session.controls
+        assert not served.session.person.in_control
         stopped = served.session.frame.number
         why = until(page, lambda m: m["type"] == "status" and m["why_paused"])
         assert why["paused"]

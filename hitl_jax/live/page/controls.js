@@ -1,7 +1,7 @@
-/** Buttons and keys: both work the same controls, and a hold ends in whatever way it can end. */
+/** Buttons and keys of the same controls. A hold also ends when the window loses its focus. */
 
 const KEYS_OF_BUTTONS = ["Enter", " "];
-/** How long a press lasts that comes without its end, as from a screen reader [ms]. */
+/** How long a press without an end lasts, as from a screen reader [ms]. */
 const TAP = 200;
 
 /** The name of a key as in `data-keys`: the letter on it, or its code where that is not Latin. */

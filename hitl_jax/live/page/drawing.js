@@ -1,4 +1,4 @@
-/** All that is drawn: the scene with the walker, the gauge of the indicator, the two charts. */
+/** Draws the scene with the walker, the gauge of the indicator and the two charts. */
 
 const INK = {
   machine: "#0072b2", danger: "#d55e00", person: "#cc79a7", safe: "#009e73",

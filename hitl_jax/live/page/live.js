@@ -1,4 +1,4 @@
-/** The page of a session: what the server tells is shown, what the person does is told. */
+/** The page of a session: shows what the server sends, and sends what the person does. */
 
 import { createControls } from "./controls.js";
 import { Chart, Gauge, Scene } from "./drawing.js";
@@ -74,7 +74,7 @@ function draw() {
 function drawFrame(frame, hello) {
   scene.draw(frame, hello);
   gauge.draw(frame, hello);
-  // The server waits for this: a page that shows nothing has nobody before it.
+  // Without this answer the server pauses, since nobody sees the frames.
   if (frame !== state.drawn) send({ type: "seen", frame: frame.n });
   state.drawn = frame;
   root.dataset.frame = frame.n;
@@ -99,7 +99,7 @@ function drawCountdown() {
   if (!paused) redraw();
 }
 
-// What the server tells.
+// Updates from the server.
 
 const listeners = {
   hello(message) {
@@ -162,7 +162,7 @@ function episodesChanged() {
   redrawCharts();
 }
 
-/** A status that was on its way when the clock was changed does not change it back. */
+/** Keeps a change that the person just made, where the server sent the status before it. */
 function keepWanted(status) {
   Object.entries(state.wanted).forEach(([name, { value, until }]) => {
     if (status[name] === value || performance.now() > until) delete state.wanted[name];
@@ -170,7 +170,7 @@ function keepWanted(status) {
   });
 }
 
-/** What the person wants of the clock counts as done until the server tells otherwise. */
+/** Shows a change of pause or speed at once, until the server sends its own value. */
 function want(name, value) {
   state.status[name] = value;
   state.wanted[name] = { value, until: performance.now() + 1000 };
@@ -191,7 +191,7 @@ function showStatus(status) {
   element("danger").setAttribute("aria-pressed", status.danger_held);
 }
 
-/** Shows why it was paused, if not by the person; what they still hold is held no more. */
+/** Shows why the server paused by itself; ends all that the person still holds. */
 function showWhyPaused(why) {
   element("why-paused").hidden = !why;
   write("why-paused", why ?? "");
@@ -210,7 +210,7 @@ function showRequest(asking, before) {
   redraw();
 }
 
-/** Whether the person has the controls; what the hands do is told as soon as they have. */
+/** Sets whether the person has control; sends their action when it begins. */
 function setTaken(taken) {
   if (state.taken === taken) return;
   state.taken = taken;
@@ -229,12 +229,12 @@ function send(message) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
 }
 
-/** Tells something about the frame that is on the screen. */
+/** Sends a message about the frame that is on the screen. */
 function sendSeen(message) {
   if (state.drawn) send({ ...message, frame: state.drawn.n });
 }
 
-/** Tells what the keys ask of hips and knees, where that is new. */
+/** Sends the action of the keys for hips and knees, where it has changed. */
 function tellHands() {
   const action = JOINTS.map((joint) => held.get(joint));
   if (!state.taken || state.role !== "controller" || `${action}` === sent) return;
@@ -247,7 +247,7 @@ function moveJoint(joint, change) {
   tellHands();
 }
 
-/** Takes the controls or lets them go, which counts as done until the server tells otherwise. */
+/** Takes or gives back control, and shows it at once, until the server sends its own state. */
 function toggleTake() {
   state.toldUntil = performance.now() + 400;
   sendSeen({ type: state.taken ? "let_go" : "take" });

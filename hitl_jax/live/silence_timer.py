@@ -1,36 +1,36 @@
-"""Whether somebody is there: the page that controls answers the frames that it is shown."""
+"""Notices that nobody is there: the page that controls answers each frame that it has shown."""
 
 
-class Attention:
-    """Counts how long frames that were shown wait for an answer; it has no clock of its own.
+class SilenceTimer:
+    """Counts how long shown frames wait for an answer; the caller tells it how time passes.
 
     Attributes:
         seen: the last frame that was answered.
     """
 
-    MOST_AT_ONCE = 0.1
-    """Of a silence [s]: while the program is busy with other things, answers wait unread."""
+    MAX_STEP = 0.1
+    """What a call of `advance` adds at most [s]: while the program is busy, answers wait unread."""
 
     def __init__(self, limit: float):
-        """Nobody is there yet.
+        """Starts with nobody there.
 
         Args:
             limit: the silence after which nobody is there [s].
         """
         self.limit = limit
-        self.begin(0)
+        self.start(0)
 
-    def begin(self, number: int) -> None:
-        """Somebody comes: the first frame that is shown to them is this one."""
+    def start(self, number: int) -> None:
+        """Starts anew for a page whose first frame is this one."""
         self.seen = self._shown = number - 1
         self._silence = 0.0
 
     def show(self, number: int) -> None:
-        """A frame is shown."""
+        """Notes that a frame is shown."""
         self._shown = number
 
     def answer(self, number: int) -> None:
-        """A frame was seen, and with it those before.
+        """Notes that a frame was seen, and with it those before.
 
         Raises:
             ValueError: one line, if it was not shown.
@@ -40,22 +40,22 @@ class Attention:
         self.hear(number)
 
     def hear(self, number: int | None) -> None:
-        """Something was said, of a frame that was seen or of none."""
+        """Notes any message, about a frame that was seen or about none."""
         self._silence = 0.0
         if number is not None:
             self.seen = max(self.seen, min(number, self._shown))
 
-    def is_lost(self, seconds: float) -> bool:
-        """Lets time pass; whether the silence has just become too long.
+    def advance(self, seconds: float) -> bool:
+        """Adds to the silence, if a frame waits; whether it has just become too long.
 
         Args:
-            seconds: since the last time.
+            seconds: since the last call.
         """
         before = self._silence
         if self.seen < self._shown:
-            self._silence += min(seconds, self.MOST_AT_ONCE)
+            self._silence += min(seconds, self.MAX_STEP)
         return before < self.limit <= self._silence
 
-    def settle(self, number: int) -> None:
-        """What was played before a frame has been dealt with."""
+    def skip_to(self, number: int) -> None:
+        """Expects no answer to the frames before this one."""
         self.seen = max(self.seen, number - 1)
