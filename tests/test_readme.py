@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from markdown import ROOT, python_in, run
+from pages import ROOT, python_in, run
 
 from hitl_jax.human.indicator import hull_angle, hull_angular_velocity
 

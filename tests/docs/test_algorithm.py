@@ -2,7 +2,7 @@
 
 import re
 
-from markdown import ROOT, headings
+from pages import ROOT, headings
 
 _LINES = re.compile(r"\b[Ll]ines? (\d+)(?: (?:and|to) (\d+))?\b")
 _EQUATIONS = re.compile(r"\bequation \((\d)\)")

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from markdown import headings, python_in, run, section
+from pages import headings, python_in, run, section
 from official import needs_official
 
 from hitl_jax.human.indicator import hull_angle, hull_angular_velocity

@@ -5,7 +5,7 @@ import functools
 import re
 
 import pytest
-from markdown import PAGES, ROOT, anchor, headings
+from pages import PAGES, ROOT, anchor, headings
 
 import hitl_jax
 

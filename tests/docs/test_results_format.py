@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from markdown import ROOT, first_column, python_in, run, section
+from pages import ROOT, first_column, python_in, run, section
 from official import bipedal_walker, make
 
 from hitl_jax.analysis.summary import SUMMARY_COLUMNS

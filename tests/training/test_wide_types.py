@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import small
-from markdown import python_in, run, section
+from pages import python_in, run, section
 from toy import ToyPool
 
 from hitl_jax import human, walker
