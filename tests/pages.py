@@ -1,11 +1,14 @@
-"""What tests read of README.md and docs/: headings, snippets, tables, links."""
+"""What tests read of README.md, docs/ and other pages: headings, programs, tables."""
 
 import os
 import pathlib
 import re
 
 ROOT = pathlib.Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    *(ROOT / name for name in ("README.md", "SECURITY.md", "results/README.md")),
+    *sorted((ROOT / "docs").glob("*.md")),
+]
 
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", flags=re.DOTALL | re.MULTILINE)
 

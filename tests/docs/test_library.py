@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from pages import headings, python_in, run, section
 from official import needs_official
+from pages import headings, python_in, run, section
 
 from hitl_jax.human.indicator import hull_angle, hull_angular_velocity
 from hitl_jax.human.judgement import HumanParams

@@ -1,4 +1,4 @@
-"""What README.md and docs/ refer to exists: files, functions, headings."""
+"""What the pages refer to exists: files, functions, headings."""
 
 import ast
 import functools
@@ -16,12 +16,12 @@ _MOVED = {"rollout", "runs", "human_actions"}
 
 _FILES = re.compile(r"(?<![\w./*<-])((?:[\w.-]+/)*[\w.-]+\.(?:py|js|html|css|toml|cff|md))\b")
 _DOTTED = re.compile(r"\bhitl_jax((?:\.\w+)+)")
-_SHORT = re.compile(r"`(\w+(?:\.(?!json|md|npz|py\b)\w+)+)[(`]")
+_SHORT = re.compile(r"`(\w+(?:\.(?!json|log|md|npz|py\b)\w+)+)[(`]")
 _LINKS = re.compile(r"\]\(([^)\s]+)\)")
 _MADE_UP = {"my_envs.py"}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_files_exist(page):
     text = re.sub(r"https?://\S+", "", page.read_text())
     wanted = set(_FILES.findall(text)) - _MADE_UP
@@ -31,7 +31,7 @@ def test_files_exist(page):
     assert not sorted(set(missing) - results)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_names_exist(page):
     text = page.read_text()
     names = {name[1:] for name in _DOTTED.findall(text)} - _MOVED
@@ -45,7 +45,7 @@ def test_moved_names_are_moved():
         assert f"hitl_jax.{name}" in readme and not _exists([name])
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_links_lead_somewhere(page):
     for link in _LINKS.findall(page.read_text()):
         if link.startswith(("http:", "https:")):

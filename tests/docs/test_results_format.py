@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from pages import ROOT, first_column, python_in, run, section
 from official import bipedal_walker, make
+from pages import ROOT, first_column, python_in, run, section
 
 from hitl_jax.analysis.summary import SUMMARY_COLUMNS
 from hitl_jax.learner.networks import Actor
