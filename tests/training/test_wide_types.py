@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import small
-from test_readme import _README, _SNIPPETS
+from pages import python_in, run, section
 from toy import ToyPool
 
 from hitl_jax import human, walker
@@ -228,9 +228,12 @@ def test_keys_and_first_parameters_are_the_same(name, value):
     _same(begun(), _with(name, value, begun))
 
 
-@pytest.mark.parametrize("snippet", _SNIPPETS)
-def test_the_snippets_run(snippet, wide):
-    exec(compile(snippet, str(_README), "exec"), {})
+@pytest.mark.parametrize(
+    "heading",
+    ["A human of your own", "An environment of your own", "The update functions alone"],
+)
+def test_the_programs_of_the_pages_run(heading, wide, tmp_path):
+    run("\n".join(python_in(section("docs/library.md", heading))), tmp_path)
 
 
 def _spec():
