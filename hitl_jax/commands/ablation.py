@@ -17,7 +17,8 @@ import tyro
 from hitl_jax.analysis import stats
 from hitl_jax.analysis.figure_style import attempt, save
 from hitl_jax.analysis.summary import summarise_run
-from hitl_jax.config import Hyper, Method, hyper_for, require_seeds, require_whole
+from hitl_jax.choices.checks import require_seeds, require_whole
+from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.console.cli import checking_input
 from hitl_jax.console.progress import Progress
 from hitl_jax.envs import require_backend

@@ -19,7 +19,7 @@ import tyro
 
 from hitl_jax.analysis import alarm_figures
 from hitl_jax.analysis.alarms import AlarmCounts, count_alarms, total
-from hitl_jax.config import require
+from hitl_jax.choices.checks import require
 from hitl_jax.console.cli import checking_input, print_drawn
 from hitl_jax.envs import make_pool
 from hitl_jax.errors import BadInput, ResultsError

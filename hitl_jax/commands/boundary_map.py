@@ -14,7 +14,8 @@ import tyro
 
 from hitl_jax.analysis.figure_style import COLUMN, GREY, Drawn, attempt, panels, save
 from hitl_jax.analysis.figures import boundary_label, tolerance_in
-from hitl_jax.config import Method, require
+from hitl_jax.choices.checks import require
+from hitl_jax.config import Method
 from hitl_jax.console.cli import checking_input, print_drawn
 from hitl_jax.envs import make_pool
 from hitl_jax.errors import BadInput, ResultsError

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from hitl_jax.config import MOST_SEED, require_whole
+from hitl_jax.choices.checks import MOST_SEED, require_whole
 from hitl_jax.errors import BadInput
 from hitl_jax.sweep.compile_cache import keep_programs
 from hitl_jax.walker.brax_env import BipedalWalker

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hitl_jax.config import require, require_whole
+from hitl_jax.choices.checks import require, require_whole
 from hitl_jax.console.cli import checking_input
 from hitl_jax.envs import require_backend
 from hitl_jax.envs.interpreter import child_interpreter

@@ -15,14 +15,13 @@ from typing import Annotated, Any
 
 import tyro
 
+from hitl_jax.choices.checks import one_of, require
 from hitl_jax.config import (
     AgentConfig,
     Hyper,
     Method,
     RunHyper,
     hyper_for,
-    one_of,
-    require,
     validate_hyper,
 )
 from hitl_jax.console.cli import checking_input
@@ -107,9 +106,9 @@ class LiveOptions:
             raise ValueError("--start (none): --mode test needs a run's params.npz")
         # The others find a boundary as they act: there is none to show of the state that comes
         # next, nor one that a label could move afterwards.
-        one_of("boundary-source", self.agent.boundary_source, ("rule",))
+        one_of("boundary_source", self.agent.boundary_source, ("rule",))
         if self.with_person:
-            one_of("feedback-schedule", self.agent.feedback_schedule, ("step",))
+            one_of("feedback_schedule", self.agent.feedback_schedule, ("step",))
             self._require_nothing_simulated()
         elif self.ask:
             raise ValueError("--ask True: there is nobody to ask with --mode watch")
@@ -136,7 +135,7 @@ class LiveOptions:
             "mode": self.mode,
             "method": self.method,
             "seed": self.seed,
-            "start": policy_digest(self.start, option="start"),
+            "start": policy_digest(self.start, name="start"),
             "human_policy": policy_digest(self.human_policy),
             "agent": dataclasses.asdict(self.agent),
             "loop": dataclasses.asdict(self.loop),

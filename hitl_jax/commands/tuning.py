@@ -16,7 +16,8 @@ import numpy as np
 import tyro
 
 from hitl_jax.analysis import markdown
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require_seeds, require_whole
+from hitl_jax.choices.checks import require_seeds, require_whole
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.console.cli import checking_input
 from hitl_jax.envs import make_pool, require_backend
 from hitl_jax.errors import BadInput

@@ -16,7 +16,7 @@ from typing import get_args
 import numpy as np
 import tyro
 
-from hitl_jax.config import require
+from hitl_jax.choices.checks import require
 from hitl_jax.console.cli import checking_input
 from hitl_jax.envs import make_pool
 from hitl_jax.errors import BadInput, ResultsError

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import tyro
 
 from hitl_jax.analysis.figure_style import Drawn
-from hitl_jax.errors import BadInput, LaunchError, ResultsError, WalkerError
+from hitl_jax.errors import BadInput, InvalidValue, LaunchError, ResultsError, WalkerError
 
 T = TypeVar("T")
 
@@ -53,11 +53,18 @@ def print_drawn(drawn: Drawn) -> int:
     return 1 if drawn.failures else 0
 
 
+def option(name: str) -> str:
+    """The option for a value of the library: `--human.mistake-rate` for `human.mistake_rate`."""
+    return "--" + name.replace("_", "-")
+
+
 @contextlib.contextmanager
 def checking_input() -> Iterator[None]:
     """Turns what the library says of a bad value into BadInput; only for checks, not for work."""
     try:
         yield
+    except InvalidValue as error:
+        raise BadInput(" ".join(error.text(option).split())) from error
     except (ValueError, ImportError) as error:
         raise BadInput(" ".join(str(error).split())) from error
 

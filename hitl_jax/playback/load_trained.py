@@ -3,7 +3,7 @@
 from typing import TypeVar
 
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, validate_hyper
-from hitl_jax.errors import ResultsError
+from hitl_jax.errors import InvalidValue, ResultsError
 from hitl_jax.results.atomic_files import named_errors
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.json_documents import options_of
@@ -37,14 +37,12 @@ def require_same_human(folder: ResultsFolder, human_policy: str | None) -> None:
     """Refuses another source of the human's actions than the results were made with.
 
     Raises:
-        ValueError: one line naming the option.
+        InvalidValue: in one line.
     """
     asked, has = policy_digest(human_policy), folder.load_config().get("human_policy")
     if asked != has:
-        raise ValueError(
-            f"--human-policy {human_policy}: {folder.path} was made with "
-            f"{'the scripted walker' if has is None else f'a file of {has}'}"
-        )
+        made = "the scripted walker" if has is None else f"a file of {has}"
+        raise InvalidValue("human_policy", human_policy, f"{folder.path} was made with {made}")
 
 
 def able_to_play(folder: ResultsFolder) -> list[RunKey]:

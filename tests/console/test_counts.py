@@ -8,8 +8,9 @@ import pytest
 from toy import ToyPool
 
 from hitl_jax import human
+from hitl_jax.choices.checks import require, require_whole
 from hitl_jax.commands import ablation, agreement, brax_ppo, seed_sweep, tuning
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, require, require_whole
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.console.cli import run_main
 from hitl_jax.envs import make_pool
 from hitl_jax.evaluation.host import Evaluator
