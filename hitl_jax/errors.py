@@ -9,7 +9,7 @@ class InvalidValue(ValueError):
 
     Attributes:
         name: of the value, as in its dataclass; a human parameter is `human.tolerance`.
-        value: what was given; "" where the name says enough.
+        value: what was given; `...` where the name says enough.
         why: what is allowed, or what is wrong with it.
         mentions: names of other values that stand in `why`.
     """
@@ -27,8 +27,7 @@ class InvalidValue(ValueError):
         why = self.why
         for name in self.mentions:
             why = re.sub(rf"\b{re.escape(name)}\b", spell(name), why)
-        nothing = isinstance(self.value, str) and not self.value
-        value = "" if nothing else f" {self.value}"
+        value = "" if self.value is ... else f" {self.value}"
         return f"{spell(self.name)}{value}: {why}"
 
 

@@ -59,14 +59,36 @@ def option(name: str) -> str:
 
 
 @contextlib.contextmanager
-def checking_input() -> Iterator[None]:
-    """Turns what the library says of a bad value into BadInput; only for checks, not for work."""
+def refusing(results: str = "") -> Iterator[None]:
+    """Turns a ResultsError into BadInput; also for work that reads a folder as it goes on.
+
+    Args:
+        results: the option that names the folder.
+    """
     try:
         yield
     except InvalidValue as error:
-        raise BadInput(" ".join(error.text(option).split())) from error
+        raise BadInput(_joined(error.text(option))) from error
+    except ResultsError as error:
+        raise BadInput(_joined(f"{results} {error}")) from error
+
+
+@contextlib.contextmanager
+def checking_input(results: str = "") -> Iterator[None]:
+    """Turns what the library says of a bad value into BadInput; only for checks, not for work.
+
+    Args:
+        results: the option that names the folder of which a ResultsError tells.
+    """
+    try:
+        with refusing(results):
+            yield
     except (ValueError, ImportError) as error:
-        raise BadInput(" ".join(str(error).split())) from error
+        raise BadInput(_joined(str(error))) from error
+
+
+def _joined(text: str) -> str:
+    return " ".join(text.split())
 
 
 def parse(options: type[T], args: Sequence[str], prog: str = "hitl-jax") -> T:

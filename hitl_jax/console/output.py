@@ -94,3 +94,8 @@ def plain_console(width: int | None = None) -> Console:
     from rich.console import Console  # Not for `hitl-jax --help`: it takes time.
 
     return Console(width=width, markup=False, emoji=False, highlight=False)
+
+
+def say(line: str) -> None:
+    """Prints a line at once, also where standard output is a pipe."""
+    print(line, flush=True)

@@ -1,5 +1,6 @@
 """Walkers of a results folder as they were when training ended."""
 
+from collections.abc import Callable
 from typing import TypeVar
 
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, validate_hyper
@@ -45,8 +46,8 @@ def require_same_human(folder: ResultsFolder, human_policy: str | None) -> None:
         raise InvalidValue("human_policy", human_policy, f"{folder.path} was made with {made}")
 
 
-def able_to_play(folder: ResultsFolder) -> list[RunKey]:
-    """The finished runs less those that diverged, which are named in a printed line.
+def able_to_play(folder: ResultsFolder, say: Callable[[str], None]) -> list[RunKey]:
+    """The finished runs less those that diverged, of which `say` is told.
 
     Raises:
         ResultsError: if a run is damaged.
@@ -54,7 +55,7 @@ def able_to_play(folder: ResultsFolder) -> list[RunKey]:
     keys = sort_keys(folder.finished())
     lost = [key for key in keys if folder.load_run(key).diverged]
     if lost:
-        print(f"diverged, left out: {', '.join(map(str, lost))}", flush=True)
+        say(f"diverged, left out: {', '.join(map(str, lost))}")
     return [key for key in keys if key not in lost]
 
 
