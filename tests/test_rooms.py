@@ -12,7 +12,17 @@ _ROOMS = (
     *("types", "errors", "choices", "xla", "results", "analysis"),
     *("learner", "human", "boundary", "config", "team"),
     *("walker", "envs", "training", "evaluation", "sweep"),
-    *("console", "studies", "playback", "agreement", "live", "benchmarks", "faults", "commands"),
+    *(
+        "console",
+        "studies",
+        "playback",
+        "reports",
+        "agreement",
+        "live",
+        "benchmarks",
+        "faults",
+        "commands",
+    ),
 )
 """Each may import those before it."""
 

@@ -53,15 +53,24 @@ def measure_scripted(episodes: int, env_id: str) -> list[Row]:
     return rows
 
 
-def measure_trained(folders: tuple[str, ...], runs: int, episodes: int) -> list[Row]:
-    """What trained walkers keep of their mean return in the environment that they do not know."""
+def measure_trained(
+    folders: tuple[str, ...], runs: int, episodes: int, say: Callable[[str], None]
+) -> list[Row]:
+    """What trained walkers keep of their mean return in the environment that they do not know.
+
+    Args:
+        folders: of sweeps.
+        runs: of each folder, spread over its methods.
+        episodes: of a run in each environment.
+        say: is told which runs are left out.
+    """
     rows: list[Row] = []
     for path in folders:
         folder = ResultsFolder(pathlib.Path(path))
         agent = agent_of(folder)
         home = HERE if folder.load_config().get("backend") == HERE else THERE
         away = HERE if home == THERE else THERE
-        keys = able_to_play(folder)
+        keys = able_to_play(folder, say)
         with make_pool(home, episodes) as known, make_pool(away, episodes) as strange:
             evaluators = Evaluator(agent, known), Evaluator(agent, strange)
             for key in keys[:: max(len(keys) // runs, 1)][:runs]:

@@ -70,7 +70,7 @@ def refusing(results: str = "") -> Iterator[None]:
     except InvalidValue as error:
         raise BadInput(_joined(error.text(option))) from error
     except ResultsError as error:
-        raise BadInput(_joined(f"{results} {error}")) from error
+        raise BadInput(f"{results} {error}".strip()) from error
 
 
 @contextlib.contextmanager

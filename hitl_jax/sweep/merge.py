@@ -47,9 +47,7 @@ class Merge(NamedTuple):
 
 
 @contextlib.contextmanager
-def prepared(
-    folders: Sequence[ResultsFolder], out: ResultsFolder, command: str
-) -> Iterator[Merge]:
+def prepared(folders: Sequence[ResultsFolder], out: ResultsFolder, command: str) -> Iterator[Merge]:
     """Checks the shards, and makes or opens the folder for this process alone.
 
     Args:

@@ -75,9 +75,7 @@ class Prepared(NamedTuple):
 
 
 @contextlib.contextmanager
-def prepared(
-    options: SweepOptions, command: str, say: Callable[[str], None]
-) -> Iterator[Prepared]:
+def prepared(options: SweepOptions, command: str, say: Callable[[str], None]) -> Iterator[Prepared]:
     """Checks the options, and makes or opens the folder for this process alone.
 
     Args:
