@@ -72,15 +72,17 @@ def measure_scaling(seconds: float) -> list[Row]:
     return rows
 
 
-def draw_scaling(rows: list[Row], path: str) -> None:
-    """A picture of the table, four panels over the number of runs; the numbers stay without it.
+def draw_scaling(rows: list[Row], path: str) -> list[str]:
+    """A picture of the table, four panels over the number of runs.
 
     Args:
         rows: of `measure_scaling`.
         path: a .png or .svg file.
+
+    Returns:
+        A line that says why it could not be drawn, if it could not.
     """
-    for failure in attempt({path: lambda: _draw(rows, pathlib.Path(path))}, changes={}).failures:
-        print(failure)
+    return attempt({path: lambda: _draw(rows, pathlib.Path(path))}, changes={}).failures
 
 
 def _draw(rows: list[Row], path: pathlib.Path) -> list[pathlib.Path]:

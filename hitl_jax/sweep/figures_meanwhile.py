@@ -13,6 +13,7 @@ import numpy as np
 from hitl_jax.analysis import figures, stats
 from hitl_jax.analysis.summary import write_summary
 from hitl_jax.envs.interpreter import child_interpreter
+from hitl_jax.results.atomic_files import remove_leftovers
 from hitl_jax.results.folder import ResultsFolder
 
 FIRST_FIGURES_SECONDS = 100.0
@@ -69,3 +70,4 @@ class FiguresMeanwhile:
         if self._drawing is not None:
             self._drawing.terminate()
             self._drawing.wait()
+            remove_leftovers(self._folder / "figures")

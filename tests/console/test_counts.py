@@ -15,6 +15,7 @@ from hitl_jax.console.cli import run_main
 from hitl_jax.envs import make_pool
 from hitl_jax.evaluation.host import Evaluator
 from hitl_jax.human.judgement import HumanParams
+from hitl_jax.sweep.options import SweepOptions
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training import compiled_batch
 from hitl_jax.training.rollout import Rollout
@@ -179,5 +180,5 @@ def test_commands_say_it_before_they_make_a_folder(
 
 
 def test_the_last_seeds_can_be_asked_for():
-    options = seed_sweep.SweepOptions(first_seed=2**32 - 2, seeds=2).checked()
+    options = SweepOptions(first_seed=2**32 - 2, seeds=2).checked()
     assert [spec.seed for spec in options.specs()][-1] == 2**32 - 1

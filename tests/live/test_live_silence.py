@@ -15,6 +15,7 @@ from hitl_jax.live import journal, messages, pacing
 from hitl_jax.live.attention import Attention
 from hitl_jax.live.labels import Label, judged, unjudged
 from hitl_jax.live.pacing import Conductor, Manners
+from hitl_jax.live.recorded_person import steps_of
 from hitl_jax.live.session import Session
 
 _LIMIT = 1.0
@@ -561,7 +562,7 @@ def _recorded(tmp_path, until, gone):
             session.tick()
             noted.played(session)
     noted.close()
-    return recorded._steps(Session(setup_of("penalty", learns=False)), journal.read(path)[1], path)
+    return steps_of(Session(setup_of("penalty", learns=False)), journal.read(path)[1], path)
 
 
 def test_a_recorded_human_has_no_judgements_of_nobody(tmp_path):
