@@ -61,10 +61,6 @@ class LaunchError(Exception):
     """What went wrong on other machines, in one line."""
 
 
-class BadInput(Exception):
-    """One line that names the option, the value and what is allowed."""
-
-
 def first_line(error: BaseException) -> str:
     """What an error says first; its type, if it says nothing."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0]

@@ -9,10 +9,9 @@ import contextlib
 import pathlib
 
 from hitl_jax.config import Method
-from hitl_jax.console.cli import checking_input
+from hitl_jax.console.cli import BadInput, checking_input
 from hitl_jax.console.output import say
 from hitl_jax.console.progress import Progress
-from hitl_jax.errors import BadInput
 from hitl_jax.results.atomic_files import locked
 from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.runs import make_runs, missing_runs

@@ -7,11 +7,10 @@ from collections.abc import Callable
 from hitl_jax.agreement.returns import measure_scripted, measure_trained
 from hitl_jax.agreement.states import measure_rollout, measure_step
 from hitl_jax.choices.checks import MOST_SEED, require_whole
-from hitl_jax.console.cli import checking_input
+from hitl_jax.console.cli import BadInput, checking_input
 from hitl_jax.console.output import say
 from hitl_jax.console.timing import Row, print_rows
 from hitl_jax.envs import HARDCORE_WALKER, WALKER, require_backend
-from hitl_jax.errors import BadInput
 
 
 @dataclasses.dataclass(frozen=True)

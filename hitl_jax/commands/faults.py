@@ -11,10 +11,9 @@ import pathlib
 import random
 
 from hitl_jax.choices.checks import require, require_whole
-from hitl_jax.console.cli import checking_input
+from hitl_jax.console.cli import BadInput, checking_input
 from hitl_jax.console.output import say
 from hitl_jax.envs import require_backend
-from hitl_jax.errors import BadInput
 from hitl_jax.faults.killed_sweeps import (
     differences,
     disturb_sweep,

@@ -12,6 +12,7 @@ import pathlib
 
 import tyro
 
+from hitl_jax.analysis.markdown import table
 from hitl_jax.console.cli import checking_input
 from hitl_jax.console.output import say
 from hitl_jax.errors import ResultsError
@@ -77,22 +78,17 @@ def _said(steps: Steps) -> list[str]:
         lines.append(f"steps that nobody was there to judge, left out: {steps.unjudged:,}")
     if not dangerous.any():
         return [*lines, "Nothing was judged dangerous: there is nothing to compare."]
-    lines += [
-        "",
-        "| simulated human | tolerance [rad] | delay [steps] | misses | fears | disagrees |",
-        "| --- | --- | --- | --- | --- | --- |",
+    cells = [
+        ["simulated human", "tolerance [rad]", "delay [steps]", "misses", "fears", "disagrees"]
     ]
     fits = fits_of(steps)
     for name, fit in fits.items():
-        lines.append(
-            f"| {name} | {fit.tolerance:.3f} | {fit.delay} | {fit.missed:.1%} | {fit.feared:.1%} "
-            f"| {fit.disagrees:.2%} |"
-        )
+        shares = [f"{fit.missed:.1%}", f"{fit.feared:.1%}", f"{fit.disagrees:.2%}"]
+        cells.append([name, f"{fit.tolerance:.3f}", str(fit.delay), *shares])
     best = min(fits, key=lambda name: fits[name].disagrees)
     fit = fits[best]
-    lines += [
-        "",
+    nearest = (
         f"Nearest: --danger {best} --human.tolerance {fit.tolerance:.3f} --human.delay {fit.delay} "
-        f"--human.mistake-rate {fit.disagrees:.4f}",
-    ]
-    return lines
+        f"--human.mistake-rate {fit.disagrees:.4f}"
+    )
+    return [*lines, "", table(cells), nearest]

@@ -10,10 +10,9 @@ import json
 import pathlib
 from typing import Any
 
-from hitl_jax.console.cli import checking_input
+from hitl_jax.console.cli import BadInput, checking_input
 from hitl_jax.console.output import say
 from hitl_jax.envs import require_backend
-from hitl_jax.errors import BadInput
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.studies.changes import changed
 from hitl_jax.studies.tuning.measure import measure

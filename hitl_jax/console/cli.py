@@ -12,9 +12,13 @@ from typing import Any, TypeVar
 import tyro
 
 from hitl_jax.analysis.figure_style import Drawn
-from hitl_jax.errors import BadInput, InvalidValue, LaunchError, ResultsError, WalkerError
+from hitl_jax.errors import InvalidValue, LaunchError, ResultsError, WalkerError
 
 T = TypeVar("T")
+
+
+class BadInput(Exception):
+    """One line that names the option, the value and what is allowed."""
 
 
 def run_main(name: str, main: Callable[[Any], int], args: Sequence[str]) -> int:

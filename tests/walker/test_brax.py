@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hitl_jax.commands.brax_ppo import main
-from hitl_jax.errors import BadInput
+from hitl_jax.console.cli import BadInput
 from hitl_jax.walker import brax_ppo
 from hitl_jax.walker.brax_env import BipedalWalker
 
