@@ -8,11 +8,11 @@ import jax
 import numpy as np
 
 from hitl_jax.analysis import stats
-from hitl_jax.console.timing import Row
 from hitl_jax.envs import Command, WalkerPool, make_pool
 from hitl_jax.evaluation.host import Evaluator, evaluate_policies
 from hitl_jax.human import actions
 from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
+from hitl_jax.results.episode_measures import Row
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.xla.threefry import make_key
 

@@ -11,8 +11,8 @@ from hitl_jax.benchmarks.pool import measure_pool
 from hitl_jax.benchmarks.saves import measure_saves
 from hitl_jax.benchmarks.scaling import measure_scaling
 from hitl_jax.benchmarks.walkers import measure_walkers
-from hitl_jax.console.timing import Row
 from hitl_jax.envs import box2d
+from hitl_jax.results.episode_measures import Row
 
 PARTS: dict[str, Callable[[float], list[Row]]] = {
     "learner": measure_learner,

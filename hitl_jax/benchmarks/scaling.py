@@ -17,11 +17,12 @@ import jax
 
 from hitl_jax.analysis.figure_style import attempt
 from hitl_jax.benchmarks.loop import play, specs_of, warm_up
+from hitl_jax.benchmarks.timing import device_mb, memory_mb
 from hitl_jax.config import AgentConfig, Method
-from hitl_jax.console.timing import Row, device_mb, memory_mb
 from hitl_jax.envs import make_pool
 from hitl_jax.envs.interpreter import child_interpreter
 from hitl_jax.results.atomic_files import write_bytes_atomic
+from hitl_jax.results.episode_measures import Row
 from hitl_jax.sweep.compile_cache import keep_programs
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training.rollout import Rollout

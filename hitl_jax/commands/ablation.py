@@ -17,7 +17,7 @@ from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.runs import make_runs, missing_runs
 from hitl_jax.studies.ablations.settings import ABLATIONS
 from hitl_jax.studies.ablations.store import Store
-from hitl_jax.studies.ablations.written import write_ablation
+from hitl_jax.studies.ablations.write import write_ablation
 from hitl_jax.sweep.compile_cache import keep_programs
 from hitl_jax.sweep.signals import Interrupted
 

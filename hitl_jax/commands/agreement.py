@@ -8,9 +8,9 @@ from hitl_jax.agreement.returns import measure_scripted, measure_trained
 from hitl_jax.agreement.states import measure_rollout, measure_step
 from hitl_jax.choices.checks import MOST_SEED, require_whole
 from hitl_jax.console.cli import BadInput, checking_input
-from hitl_jax.console.output import say
-from hitl_jax.console.timing import Row, print_rows
+from hitl_jax.console.output import print_rows, say
 from hitl_jax.envs import HARDCORE_WALKER, WALKER, require_backend
+from hitl_jax.results.episode_measures import Row
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import Any
 from hitl_jax.benchmarks.parts import PARTS, require_walkers
 from hitl_jax.benchmarks.scaling import draw_scaling
 from hitl_jax.console.cli import BadInput, checking_input
-from hitl_jax.console.timing import print_rows
+from hitl_jax.console.output import print_rows
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.results.provenance import versions
 from hitl_jax.xla.cores import num_cores

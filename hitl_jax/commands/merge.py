@@ -16,7 +16,7 @@ import tyro
 
 from hitl_jax.console.cli import checking_input
 from hitl_jax.results.folder import ResultsFolder
-from hitl_jax.sweep.figures_meanwhile import draw
+from hitl_jax.sweep.background_figures import draw
 from hitl_jax.sweep.merge import prepared
 
 

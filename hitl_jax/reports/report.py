@@ -28,7 +28,7 @@ from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.settings import ABLATIONS
 from hitl_jax.studies.ablations.starts import judge_starts
 from hitl_jax.studies.ablations.store import Store
-from hitl_jax.studies.ablations.written import lines_of, write_ablation
+from hitl_jax.studies.ablations.write import lines_of, write_ablation
 from hitl_jax.studies.tuning.options import TuningOptions
 from hitl_jax.studies.tuning.table import table as table_of_tuning
 

@@ -23,7 +23,7 @@ from hitl_jax.results.episode_tables import (
 )
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.sweep import recorded_human
-from hitl_jax.sweep.figures_meanwhile import FiguresMeanwhile, draw
+from hitl_jax.sweep.background_figures import BackgroundFigures, draw
 from hitl_jax.sweep.launchers import Launcher
 from hitl_jax.sweep.options import SweepOptions
 from hitl_jax.sweep.signals import Interrupted
@@ -158,7 +158,7 @@ class Sweep:
         )
         self._batch = Batch("under_way", agent, specs, options.loop, plant)
         self._running: Sequence[Run] = []
-        self._drawing = FiguresMeanwhile(self._folder.path, self._save_partial)
+        self._drawing = BackgroundFigures(self._folder.path, self._save_partial)
         self._display = display
 
     def run(self) -> list[Any]:

@@ -27,8 +27,8 @@ from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.runs import runs_of, settings_of
 from hitl_jax.studies.ablations.settings import ABLATIONS
 from hitl_jax.studies.ablations.store import _MEASURES, Store
-from hitl_jax.studies.ablations.written import write_ablation
-from hitl_jax.sweep.figures_meanwhile import draw
+from hitl_jax.studies.ablations.write import write_ablation
+from hitl_jax.sweep.background_figures import draw
 
 CONFIG = {
     "agent": {"indicator": "hull_angle", "boundary_source": "rule"},

@@ -21,9 +21,8 @@ from hitl_jax.analysis import markdown
 from hitl_jax.analysis.figure_style import literal, style
 from hitl_jax.config import AgentConfig, Hyper
 from hitl_jax.console.cli import BadInput, parse
-from hitl_jax.console.output import replace_what_cannot_be_encoded
+from hitl_jax.console.output import print_rows, replace_what_cannot_be_encoded
 from hitl_jax.console.progress import Progress
-from hitl_jax.console.timing import print_rows
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.results.episode_tables import METHODS
 from hitl_jax.results.folder import ResultsFolder

@@ -29,7 +29,7 @@ from hitl_jax.results.episode_tables import select, table_to_csv
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.sweep import run_sweep
-from hitl_jax.sweep.figures_meanwhile import FiguresMeanwhile
+from hitl_jax.sweep.background_figures import BackgroundFigures
 from hitl_jax.sweep.run_sweep import Sweep
 
 _SMALL = [
@@ -67,7 +67,7 @@ def swept(tmp_path_factory):
     out = tmp_path_factory.mktemp("sweep") / "[lr=0.1] $x$ [/data] :smile: τ|"
     with pytest.MonkeyPatch.context() as patch:
         # As if figures were due after every chunk, the last ones of each run included.
-        patch.setattr(FiguresMeanwhile, "draw_if_due", lambda figures: figures._prepare())
+        patch.setattr(BackgroundFigures, "draw_if_due", lambda figures: figures._prepare())
         assert _run(out) == 0
     return out
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from toy import ToyPool
 
+from hitl_jax.benchmarks.timing import memory_mb
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.console.timing import memory_mb
 from hitl_jax.envs import Command
 from hitl_jax.evaluation.host import Evaluator
 from hitl_jax.evaluation.trials import evaluate_runs

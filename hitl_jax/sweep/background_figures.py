@@ -35,7 +35,7 @@ def draw(folder: ResultsFolder) -> list[Any]:
     return [*tables, *figures.draw_all(folder, np.random.default_rng(stats.SEED)).lines]
 
 
-class FiguresMeanwhile:
+class BackgroundFigures:
     """Draws in another process, of lower priority, so that training does not wait.
 
     Args:
