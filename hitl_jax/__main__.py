@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 
 from hitl_jax.console.output import go_on_without_readers, replace_what_cannot_be_encoded
+from hitl_jax.xla.loop_flag import have_loops_in_one_kernel
 
 _COMMANDS = {
     "sweep": ("seed_sweep", "trains and tests the three methods over many seeds"),
@@ -53,6 +54,9 @@ def main(words: Sequence[str] | None = None) -> int:
     if name not in _COMMANDS:
         print(f"error: {name}: must be one of {', '.join(_COMMANDS)}", file=sys.stderr)
         return 2
+    # Before JAX makes an array, so that all commands round alike: what one has played another plays
+    # again. Processes that a command starts inherit it.
+    have_loops_in_one_kernel()
     from hitl_jax.console.cli import run_main
 
     sys.argv[1:] = options  # A folder of results keeps the command that made it.

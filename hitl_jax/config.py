@@ -7,8 +7,6 @@ number that the program takes as an argument, so that one program can sweep it a
 import dataclasses
 import enum
 import itertools
-import numbers
-from typing import Any
 
 import chex
 import jax
@@ -16,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from hitl_jax.choices.checks import MOST, is_whole, one_of, require, require_whole
+from hitl_jax.errors import InvalidValue
 from hitl_jax.human.indicator import INDICATORS
 from hitl_jax.human.judgement import DANGER_MODELS, MAX_DELAY, HumanParams, validate_human_params
 from hitl_jax.learner.algorithms import LEARNERS, Learner
@@ -26,16 +26,9 @@ INTERVENTIONS = ("reset", "takeover", "penalty")
 RELEASES = ("judgement", "hysteresis")
 FEEDBACK_SCHEDULES = ("step", "episode")
 
-MOST = 2**31 - 1
-"""The greatest count, of episodes or steps for example: the greatest int32."""
-MOST_SEED = 2**32 - 1
-"""Of a run's seeds: it is one word of its key."""
-_MOST_SEEDS = 100_000
-"""Of one command, which holds a list of its runs."""
 _MOST_UNITS = 2**20
 _MOST_LAYERS = 16
 _MOST_WEIGHTS = 2**26
-_GREATEST = float(np.finfo(np.float32).max)
 
 
 class Method(enum.StrEnum):
@@ -97,15 +90,15 @@ class AgentConfig:
     action_size: int = 4
 
     def __post_init__(self) -> None:
-        """Checks every choice; ValueError names the option, the value and what is allowed."""
+        """Checks every choice; InvalidValue names it, its value and what is allowed."""
         one_of("learner", self.learner, tuple(LEARNERS))
-        one_of("matmul-precision", self.matmul_precision, MATMUL_PRECISIONS)
-        one_of("boundary-source", self.boundary_source, BOUNDARY_SOURCES)
+        one_of("matmul_precision", self.matmul_precision, MATMUL_PRECISIONS)
+        one_of("boundary_source", self.boundary_source, BOUNDARY_SOURCES)
         one_of("indicator", self.indicator, tuple(INDICATORS))
         one_of("danger", self.danger, tuple(DANGER_MODELS))
         one_of("intervention", self.intervention, INTERVENTIONS)
         one_of("release", self.release, RELEASES)
-        one_of("feedback-schedule", self.feedback_schedule, FEEDBACK_SCHEDULES)
+        one_of("feedback_schedule", self.feedback_schedule, FEEDBACK_SCHEDULES)
         for name in (
             "batch_size",
             "n_step",
@@ -117,17 +110,20 @@ class AgentConfig:
         for name in ("hidden_sizes", "boundary_hidden_sizes"):
             sizes = getattr(self, name)
             if not sizes or any(not is_whole(size) or size < 1 for size in sizes):
-                raise ValueError(f"{_option(name)} {sizes}: at least one layer, each of 1 or more")
+                raise InvalidValue(name, sizes, "at least one layer, each of 1 or more")
             for size in sizes:
                 require_whole(name, size, at_most=_MOST_UNITS)
             if len(sizes) > _MOST_LAYERS:
-                raise ValueError(f"{_option(name)} {len(sizes)} layers: at most {_MOST_LAYERS}")
+                raise InvalidValue(name, f"{len(sizes)} layers", f"at most {_MOST_LAYERS}")
             if any(a * b > _MOST_WEIGHTS for a, b in itertools.pairwise(sizes)):
-                raise ValueError(f"{_option(name)} {sizes}: at most {_MOST_WEIGHTS} weights each")
+                raise InvalidValue(name, sizes, f"at most {_MOST_WEIGHTS} weights each")
         if self.matmul_precision != "float32" and len(self.hidden_sizes) < 2:
-            raise ValueError(
-                f"--matmul-precision {self.matmul_precision}: is for products between hidden "
-                f"layers, and --hidden-sizes {self.hidden_sizes} has one: must be float32"
+            raise InvalidValue(
+                "matmul_precision",
+                self.matmul_precision,
+                f"is for products between hidden layers, and hidden_sizes {self.hidden_sizes} "
+                "has one: must be float32",
+                mentions=("hidden_sizes",),
             )
 
     @property
@@ -255,7 +251,7 @@ def validate_hyper(hyper: Hyper, max_delay: int = MAX_DELAY) -> None:
         max_delay: longest reaction delay that the human was made for [steps].
 
     Raises:
-        ValueError: one line with the option, the value and what is allowed.
+        InvalidValue: one line with the name, the value and what is allowed.
     """
     for name in (
         "actor_learning_rate",
@@ -290,67 +286,3 @@ def validate_hyper(hyper: Hyper, max_delay: int = MAX_DELAY) -> None:
         at_most=hyper.boundary_high,
     )
     validate_human_params(hyper.human, max_delay)
-
-
-def is_whole(value: Any) -> bool:
-    """Whether a value is a whole number by its type: Python's or NumPy's, but no truth value."""
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value[()]
-    return isinstance(value, numbers.Integral) and not isinstance(value, bool)
-
-
-def require(
-    name: str, value: float, at_least: float = -_GREATEST, at_most: float = _GREATEST
-) -> None:
-    """Raises ValueError with one line unless `value` is a finite number within the bounds.
-
-    Args:
-        name: of the option, as in the dataclass or with hyphens.
-        value: Python's or NumPy's.
-        at_least: by default the least number that float32 has.
-        at_most: by default the greatest.
-    """
-    number = value[()] if isinstance(value, np.ndarray) and value.ndim == 0 else value
-    known = isinstance(number, numbers.Real) and not isinstance(number, bool)
-    if not (known and -_GREATEST <= number <= _GREATEST):
-        raise ValueError(f"{_option(name)} {value}: must be a finite number")
-    if not at_least <= number <= at_most:
-        bounds = [f"at least {_text(at_least)}"] * (at_least > -_GREATEST)
-        bounds += [f"at most {_text(at_most)}"] * (at_most < _GREATEST)
-        raise ValueError(f"{_option(name)} {value}: must be {' and '.join(bounds)}")
-
-
-def require_whole(name: str, value: int, at_least: int = 0, at_most: int = MOST) -> None:
-    """Raises ValueError with one line unless `value` is a whole number within the bounds."""
-    if not is_whole(value):
-        raise ValueError(f"{_option(name)} {value}: must be a whole number")
-    require(name, value, at_least, at_most)
-
-
-def require_seeds(first_seed: int, seeds: int) -> None:
-    """Raises ValueError with one line unless there are so many seeds from `first_seed` on."""
-    require_whole("seeds", seeds, at_least=1, at_most=_MOST_SEEDS)
-    require_whole("first_seed", first_seed, at_most=MOST_SEED + 1 - int(seeds))
-
-
-def _text(bound: float) -> str:
-    return str(bound) if is_whole(bound) else f"{bound:g}"
-
-
-def _option(name: str) -> str:
-    return "--" + name.replace("_", "-")
-
-
-def one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    """Checks a choice.
-
-    Args:
-        name: of the option, as in the dataclass or with hyphens.
-        value: what was chosen.
-        allowed: what can be.
-
-    Raises:
-        ValueError: one line with the option, the value and what is allowed.
-    """
-    if value not in allowed:
-        raise ValueError(f"{_option(name)} {value}: must be one of {', '.join(allowed)}")

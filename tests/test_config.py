@@ -10,20 +10,20 @@ from hitl_jax.learner.algorithms import LEARNERS
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"learner": "sac"}, "--learner sac: must be one of ddpg, td3, td3-tqc"),
-        ({"matmul_precision": "float16"}, "--matmul-precision float16: must be one of float32"),
+        ({"learner": "sac"}, "learner sac: must be one of ddpg, td3, td3-tqc"),
+        ({"matmul_precision": "float16"}, "matmul_precision float16: must be one of float32"),
         (
             {"matmul_precision": "bfloat16", "hidden_sizes": (64,)},
-            "--matmul-precision bfloat16: is for products between hidden layers",
+            "matmul_precision bfloat16: is for products between hidden layers",
         ),
-        ({"boundary_source": "oracle"}, "--boundary-source oracle: must be one of network"),
-        ({"intervention": "shout"}, "--intervention shout: must be one of reset"),
-        ({"feedback_schedule": "year"}, "--feedback-schedule year: must be one of step"),
-        ({"indicator": "mood"}, "--indicator mood: must be one of hull_angle"),
-        ({"danger": "none"}, "--danger none: must be one of threshold"),
-        ({"hidden_sizes": ()}, "--hidden-sizes (): at least one layer"),
-        ({"hidden_sizes": (0,)}, "--hidden-sizes (0,): at least one layer"),
-        ({"n_step": 0}, "--n-step 0: must be at least 1"),
+        ({"boundary_source": "oracle"}, "boundary_source oracle: must be one of network"),
+        ({"intervention": "shout"}, "intervention shout: must be one of reset"),
+        ({"feedback_schedule": "year"}, "feedback_schedule year: must be one of step"),
+        ({"indicator": "mood"}, "indicator mood: must be one of hull_angle"),
+        ({"danger": "none"}, "danger none: must be one of threshold"),
+        ({"hidden_sizes": ()}, "hidden_sizes (): at least one layer"),
+        ({"hidden_sizes": (0,)}, "hidden_sizes (0,): at least one layer"),
+        ({"n_step": 0}, "n_step 0: must be at least 1"),
     ],
 )
 def test_bad_choices_are_named(change, message):
@@ -34,13 +34,13 @@ def test_bad_choices_are_named(change, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"delta_minus": -0.001}, "--delta-minus -0.001: must be at least 0"),
-        ({"gamma": 1.5}, "--gamma 1.5: must be at least 0 and at most 1"),
-        ({"gamma": float("nan")}, "--gamma nan: must be a finite number"),
-        ({"initial_boundary": 9.0}, "--initial-boundary 9.0: must be at least 0.05 and at most"),
-        ({"boundary_high": 0.01}, "--boundary-high 0.01: must be at least 0.05"),
-        ({"takeover_steps": 0}, "--takeover-steps 0: must be at least 1"),
-        ({"feedback": float("inf")}, "--feedback inf: must be a finite number"),
+        ({"delta_minus": -0.001}, "delta_minus -0.001: must be at least 0"),
+        ({"gamma": 1.5}, "gamma 1.5: must be at least 0 and at most 1"),
+        ({"gamma": float("nan")}, "gamma nan: must be a finite number"),
+        ({"initial_boundary": 9.0}, "initial_boundary 9.0: must be at least 0.05 and at most"),
+        ({"boundary_high": 0.01}, "boundary_high 0.01: must be at least 0.05"),
+        ({"takeover_steps": 0}, "takeover_steps 0: must be at least 1"),
+        ({"feedback": float("inf")}, "feedback inf: must be a finite number"),
     ],
 )
 def test_bad_numbers_are_named(change, message):

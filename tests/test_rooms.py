@@ -9,10 +9,20 @@ import pytest
 
 _PACKAGE = pathlib.Path(__file__).parents[1] / "hitl_jax"
 _ROOMS = (
-    *("types", "errors", "xla", "results", "analysis"),
+    *("types", "errors", "choices", "xla", "results", "analysis"),
     *("learner", "human", "boundary", "config", "team"),
     *("walker", "envs", "training", "evaluation", "sweep"),
-    *("console", "studies", "playback", "agreement", "live", "benchmarks", "faults", "commands"),
+    *(
+        "console",
+        "studies",
+        "playback",
+        "reports",
+        "agreement",
+        "live",
+        "benchmarks",
+        "faults",
+        "commands",
+    ),
 )
 """Each may import those before it."""
 

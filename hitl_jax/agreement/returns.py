@@ -8,11 +8,11 @@ import jax
 import numpy as np
 
 from hitl_jax.analysis import stats
-from hitl_jax.console.timing import Row
 from hitl_jax.envs import Command, WalkerPool, make_pool
 from hitl_jax.evaluation.host import HostExaminer, evaluate_policies
 from hitl_jax.human import actions
 from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
+from hitl_jax.results.episode_measures import Row
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.xla.threefry import make_key
 
@@ -53,15 +53,24 @@ def measure_scripted(episodes: int, env_id: str) -> list[Row]:
     return rows
 
 
-def measure_trained(folders: tuple[str, ...], runs: int, episodes: int) -> list[Row]:
-    """What trained walkers keep of their mean return in the environment that they do not know."""
+def measure_trained(
+    folders: tuple[str, ...], runs: int, episodes: int, say: Callable[[str], None]
+) -> list[Row]:
+    """What trained walkers keep of their mean return in the environment that they do not know.
+
+    Args:
+        folders: of sweeps.
+        runs: of each folder, spread over its methods.
+        episodes: of a run in each environment.
+        say: is told which runs are left out.
+    """
     rows: list[Row] = []
     for path in folders:
         folder = ResultsFolder(pathlib.Path(path))
         agent = agent_of(folder)
         home = HERE if folder.load_config().get("backend") == HERE else THERE
         away = HERE if home == THERE else THERE
-        keys = able_to_play(folder)
+        keys = able_to_play(folder, say)
         with make_pool(home, episodes) as known, make_pool(away, episodes) as strange:
             evaluators = HostExaminer(agent, known), HostExaminer(agent, strange)
             for key in keys[:: max(len(keys) // runs, 1)][:runs]:

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax.console.timing import Row
 from hitl_jax.envs import box2d
+from hitl_jax.results.episode_measures import Row
 from hitl_jax.walker import Walker, constants, from_gymnasium, step
 from hitl_jax.walker.physics import joints
 from hitl_jax.walker.physics.manifolds import FIRST_BOX

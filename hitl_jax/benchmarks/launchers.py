@@ -7,8 +7,8 @@ import subprocess
 import tempfile
 import time
 
-from hitl_jax.console.timing import Row
 from hitl_jax.envs.interpreter import child_interpreter
+from hitl_jax.results.episode_measures import Row
 
 _BAR = 1.05
 _TURNS = ("local", "ray", "ray", "local")

@@ -18,8 +18,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from hitl_jax.benchmarks.crowd import CROWD, crowd, seconds_of_page
-from hitl_jax.console.timing import Row
 from hitl_jax.envs.interpreter import child_interpreter
+from hitl_jax.results.episode_measures import Row
 
 FRAMES_BAR, LATENCY_BAR = 50, 60
 PAGE_BAR, LOG_BAR = 2.0, 1000

@@ -13,9 +13,10 @@ import jax
 import numpy as np
 
 from hitl_jax.benchmarks.learner import make_learner
+from hitl_jax.benchmarks.timing import REPEATS, best, busy_seconds, memory_mb, stolen_seconds
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.console.timing import REPEATS, Row, best, busy_seconds, memory_mb, stolen_seconds
 from hitl_jax.envs import StepBatch, WalkerPool, make_pool
+from hitl_jax.results.episode_measures import Row
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec, num_slots

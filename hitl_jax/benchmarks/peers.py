@@ -24,8 +24,8 @@ import numpy as np
 from hitl_jax.benchmarks.loop import WARMUP_STEPS, play, specs_of, warm_up
 from hitl_jax.benchmarks.pool import WALKERS, plain_rate, pool_rate
 from hitl_jax.config import AgentConfig, Method
-from hitl_jax.console.timing import Row
 from hitl_jax.envs import WALKER, make_pool
+from hitl_jax.results.episode_measures import Row
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, num_slots

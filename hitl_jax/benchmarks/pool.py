@@ -14,8 +14,9 @@ from threading import Barrier
 
 import numpy as np
 
-from hitl_jax.console.timing import REPEATS, Row
+from hitl_jax.benchmarks.timing import REPEATS
 from hitl_jax.envs import WALKER, Command, make_pool
+from hitl_jax.results.episode_measures import Row
 
 WALKERS = 64
 WORKERS = 2

@@ -6,8 +6,8 @@ import time
 
 from hitl_jax.benchmarks.loop import RUNS, specs_of, warm_up
 from hitl_jax.config import AgentConfig, Method
-from hitl_jax.console.timing import Row
 from hitl_jax.envs import make_pool
+from hitl_jax.results.episode_measures import Row
 from hitl_jax.sweep.options import SweepOptions
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training.rollout import Rollout

@@ -17,11 +17,12 @@ import jax
 
 from hitl_jax.analysis.figure_style import attempt
 from hitl_jax.benchmarks.loop import play, specs_of, warm_up
+from hitl_jax.benchmarks.timing import device_mb, memory_mb
 from hitl_jax.config import AgentConfig, Method
-from hitl_jax.console.timing import Row, device_mb, memory_mb
 from hitl_jax.envs import make_pool
 from hitl_jax.envs.interpreter import child_interpreter
 from hitl_jax.results.atomic_files import write_bytes_atomic
+from hitl_jax.results.episode_measures import Row
 from hitl_jax.sweep.compile_cache import keep_programs
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training.rollout import Rollout
@@ -72,15 +73,17 @@ def measure_scaling(seconds: float) -> list[Row]:
     return rows
 
 
-def draw_scaling(rows: list[Row], path: str) -> None:
-    """A picture of the table, four panels over the number of runs; the numbers stay without it.
+def draw_scaling(rows: list[Row], path: str) -> list[str]:
+    """A picture of the table, four panels over the number of runs.
 
     Args:
         rows: of `measure_scaling`.
         path: a .png or .svg file.
+
+    Returns:
+        A line that says why it could not be drawn, if it could not.
     """
-    for failure in attempt({path: lambda: _draw(rows, pathlib.Path(path))}, changes={}).failures:
-        print(failure)
+    return attempt({path: lambda: _draw(rows, pathlib.Path(path))}, changes={}).failures
 
 
 def _draw(rows: list[Row], path: pathlib.Path) -> list[pathlib.Path]:

@@ -7,7 +7,8 @@ for each number of walkers and device, which takes longer than measuring it.
 import jax
 
 from hitl_jax.benchmarks.pool import pool_rates
-from hitl_jax.console.timing import REPEATS, Row
+from hitl_jax.benchmarks.timing import REPEATS
+from hitl_jax.results.episode_measures import Row
 from hitl_jax.xla.cores import num_cores
 
 BATCHES = (1, 16, 64, 256, 1024, 4096, 16384)

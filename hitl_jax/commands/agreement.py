@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 from hitl_jax.agreement.returns import measure_scripted, measure_trained
 from hitl_jax.agreement.states import measure_rollout, measure_step
-from hitl_jax.config import MOST_SEED, require_whole
-from hitl_jax.console.cli import checking_input
-from hitl_jax.console.timing import Row, print_rows
+from hitl_jax.choices.checks import MOST_SEED, require_whole
+from hitl_jax.console.cli import BadInput, checking_input
+from hitl_jax.console.output import print_rows, say
 from hitl_jax.envs import HARDCORE_WALKER, WALKER, require_backend
-from hitl_jax.errors import BadInput
+from hitl_jax.results.episode_measures import Row
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,6 +75,6 @@ PARTS: dict[str, Callable[[AgreementOptions], list[Row]]] = {
     "rollout": lambda options: measure_rollout(options.seed, options.env_id),
     "scripted": lambda options: measure_scripted(options.episodes, options.env_id),
     "trained": lambda options: measure_trained(
-        options.trained, options.runs, options.test_episodes
+        options.trained, options.runs, options.test_episodes, say
     ),
 }

@@ -8,29 +8,15 @@ import dataclasses
 import json
 import os
 import pathlib
-from collections.abc import Callable
 from typing import Any
 
-from hitl_jax.benchmarks.launchers import measure_launchers
-from hitl_jax.benchmarks.learner import measure_learner
-from hitl_jax.benchmarks.live import measure_live
-from hitl_jax.benchmarks.loop import measure_loop
-from hitl_jax.benchmarks.peers import measure_peers
-from hitl_jax.benchmarks.pool import measure_pool
-from hitl_jax.benchmarks.saves import measure_saves
-from hitl_jax.benchmarks.scaling import draw_scaling, measure_scaling
-from hitl_jax.benchmarks.walkers import measure_walkers
-from hitl_jax.console.cli import checking_input
-from hitl_jax.console.timing import Row, print_rows
-from hitl_jax.envs import box2d
-from hitl_jax.errors import BadInput
+from hitl_jax.benchmarks.parts import PARTS, require_walkers
+from hitl_jax.benchmarks.scaling import draw_scaling
+from hitl_jax.console.cli import BadInput, checking_input
+from hitl_jax.console.output import print_rows
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.results.provenance import versions
 from hitl_jax.xla.cores import num_cores
-
-_ON_GYMNASIUM = ("pool", "peers")
-_ON_BOX2D = ("loop", "scaling", "saves", "live")
-"""Parts that need it: `learner` has no walkers, `walkers` tells which it did not find."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,33 +56,17 @@ def main(options: BenchmarkOptions) -> int:
         if "scaling" not in parts:
             raise BadInput(f"--plot {options.plot}: needs the part scaling in --only")
     with checking_input():
-        for part in parts:
-            if part in _ON_GYMNASIUM:
-                box2d.require_gymnasium(f"--only {part}")
-            if part in _ON_BOX2D:
-                box2d.require(f"--only {part}")
+        require_walkers(parts, "--only {}".format)
     # Of a GPU, take what is needed: the processes of the part scaling need the rest.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     report: dict[str, Any] = {"versions": versions(), "cores": num_cores()}
     for part in parts:
-        rows = PARTS[part](options)
+        rows = PARTS[part](options.seconds)
         report[part] = rows
         print_rows(part, rows)
         if options.json is not None:
             write_text_atomic(pathlib.Path(options.json), json.dumps(report, indent=2) + "\n")
         if options.plot is not None and part == "scaling":
-            draw_scaling(rows, options.plot)
+            for failure in draw_scaling(rows, options.plot):
+                print(failure)
     return 0
-
-
-PARTS: dict[str, Callable[[BenchmarkOptions], list[Row]]] = {
-    "learner": lambda options: measure_learner(options.seconds),
-    "pool": lambda options: measure_pool(options.seconds),
-    "loop": lambda options: measure_loop(options.seconds),
-    "scaling": lambda options: measure_scaling(options.seconds),
-    "saves": lambda options: measure_saves(options.seconds),
-    "walkers": lambda options: measure_walkers(options.seconds),
-    "live": lambda options: measure_live(options.seconds),
-    "launchers": lambda options: measure_launchers(options.seconds),
-    "peers": lambda options: measure_peers(options.seconds),
-}

@@ -8,8 +8,8 @@ import tyro
 
 from hitl_jax.analysis import stats
 from hitl_jax.analysis.figures import draw_all
-from hitl_jax.console.cli import print_drawn
-from hitl_jax.errors import BadInput, ResultsError
+from hitl_jax.console.cli import BadInput, print_drawn
+from hitl_jax.errors import ResultsError
 from hitl_jax.results.folder import ResultsFolder
 
 

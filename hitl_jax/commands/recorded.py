@@ -9,27 +9,19 @@ they are most like.
 
 import dataclasses
 import pathlib
-from typing import NamedTuple
 
-import jax
-import numpy as np
 import tyro
 
-from hitl_jax.commands.live import LiveOptions, setup_of, tell_differences
-from hitl_jax.config import AgentConfig, Hyper
+from hitl_jax.analysis.markdown import table
 from hitl_jax.console.cli import checking_input
+from hitl_jax.console.output import say
 from hitl_jax.errors import ResultsError
-from hitl_jax.human.fit import FittedHuman, fit_human
-from hitl_jax.human.indicator import hull_angle, weighted
-from hitl_jax.human.judgement import HumanParams
 from hitl_jax.live import journal
-from hitl_jax.live.labels import judged, unjudged
+from hitl_jax.live.begin import differences
+from hitl_jax.live.recorded_person import Steps, fits_of, setup_again, steps_of
 from hitl_jax.live.session import Session
-from hitl_jax.results.config_diff import completed
-from hitl_jax.results.json_documents import options_of
 from hitl_jax.sweep import recorded_human
 from hitl_jax.sweep.compile_cache import keep_programs
-from hitl_jax.training.run_spec import LoopConfig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,42 +39,6 @@ class RecordedOptions:
     human_policy: str | None = None
 
 
-@dataclasses.dataclass(frozen=True)
-class _Begun:
-    """The first line of a journal; the files are told by their digests."""
-
-    journal: int
-    mode: str
-    method: str
-    seed: int
-    start: str | None
-    human_policy: str | None
-    agent: AgentConfig
-    loop: LoopConfig
-    hyper: Hyper
-
-
-class Steps(NamedTuple):
-    """The steps of a session that a person judged.
-
-    Attributes:
-        observation: s_t, [T, O].
-        begins: whether an episode, or the rest of it after steps that nobody judged, begins here,
-            bool [T].
-        alarmed: C, bool [T].
-        dangerous: h_t = 0 as it stands at the end, bool [T].
-        episodes: how many there were.
-        unjudged: how many steps nobody judged.
-    """
-
-    observation: np.ndarray
-    begins: np.ndarray
-    alarmed: np.ndarray
-    dangerous: np.ndarray
-    episodes: int
-    unjudged: int
-
-
 def main(options: RecordedOptions) -> int:
     """Plays the session again, writes the judgements, and compares.
 
@@ -95,17 +51,9 @@ def main(options: RecordedOptions) -> int:
     path = pathlib.Path(options.journal)
     header, lines = journal.read(path)
     with checking_input():
-        session_options = _options(header, options)
-        asked = session_options.header()
-        for name in ("start", "human_policy"):
-            if asked[name] != header.get(name):
-                given = getattr(options, name)
-                flag = name.replace("_", "-")
-                raise ValueError(f"--{flag} {given}: the session had {header.get(name)}")
-        if not session_options.with_person:
-            raise ValueError(f"{path}: --mode watch: no person judged in this session")
-        setup = setup_of(session_options)
-    tell_differences(path, header)
+        setup = setup_again(path, header, options.start, options.human_policy)
+    if line := differences(path, header):
+        say(line)
     keep_programs()
     steps = steps_of(Session(setup), lines, path)
     if not len(steps.dangerous):
@@ -117,64 +65,8 @@ def main(options: RecordedOptions) -> int:
     return 0
 
 
-def _options(header: journal.Line, options: RecordedOptions) -> LiveOptions:
-    """The options of a session, from its journal."""
-    try:
-        told = {name: value for name, value in header.items() if name != "made"}
-        begun = options_of(completed(told), _Begun)
-    except ValueError as error:
-        raise ValueError(f"{options.journal}: is no journal of a live session: {error}") from error
-    return LiveOptions(
-        mode=begun.mode,
-        start=options.start,
-        method=begun.method,
-        seed=begun.seed,
-        human_policy=options.human_policy,
-        agent=begun.agent,
-        loop=begun.loop,
-        hyper=begun.hyper,
-    ).checked()
-
-
-def steps_of(session: Session, lines: list[journal.Line], path: pathlib.Path) -> Steps:
-    """Plays a journal again; the steps that a person judged.
-
-    Args:
-        session: at its beginning.
-        lines: of the journal.
-        path: of the journal, for error texts.
-
-    Raises:
-        ResultsError: if the session does not become what it was.
-    """
-    seen, begins, alarmed, live = [], [], [], []
-
-    def note() -> None:
-        frame = session.frame
-        seen.append(frame.observation)
-        begins.append(frame.step == 0)
-        alarmed.append(frame.alarmed)
-        live.append(not frame.ended)
-
-    for _ in journal.play(session, lines, path, before_step=note):
-        pass
-    dangerous = judged(session.labels, 0, len(live))
-    nobodys = unjudged(session.labels, 0, len(live))
-    after = np.concatenate([[False], nobodys])[:-1]
-    live_steps = np.array(live, bool)
-    kept = live_steps & ~nobodys
-    return Steps(
-        observation=np.array(seen)[kept],
-        begins=(np.array(begins, bool) | after)[kept],
-        alarmed=np.array(alarmed, bool)[kept],
-        dangerous=dangerous[kept],
-        episodes=sum(begins),
-        unjudged=int((live_steps & nobodys).sum()),
-    )
-
-
-def report_of(steps: Steps) -> list[str]:
-    """Lines of text that compare the person with simulated humans."""
+def _said(steps: Steps) -> list[str]:
+    """What is told of a person."""
     dangerous, alarmed = steps.dangerous, steps.alarmed
     lines = [
         f"{len(dangerous):,} steps of {steps.episodes} episodes; "
@@ -186,26 +78,17 @@ def report_of(steps: Steps) -> list[str]:
         lines.append(f"steps that nobody was there to judge, left out: {steps.unjudged:,}")
     if not dangerous.any():
         return [*lines, "Nothing was judged dangerous: there is nothing to compare."]
-    lines += [
-        "",
-        "| simulated human | tolerance [rad] | delay [steps] | misses | fears | disagrees |",
-        "| --- | --- | --- | --- | --- | --- |",
+    cells = [
+        ["simulated human", "tolerance [rad]", "delay [steps]", "misses", "fears", "disagrees"]
     ]
-    horizon = HumanParams().horizon
-    signals = {"threshold": hull_angle, "predictive": weighted(1.0, horizon)}
-    fits: dict[str, FittedHuman] = {}
-    for name, signal in signals.items():
-        values = np.abs(np.asarray(jax.vmap(signal)(steps.observation)))
-        fit = fits[name] = fit_human(values, steps.begins, dangerous)
-        lines.append(
-            f"| {name} | {fit.tolerance:.3f} | {fit.delay} | {fit.missed:.1%} | {fit.feared:.1%} "
-            f"| {fit.disagrees:.2%} |"
-        )
+    fits = fits_of(steps)
+    for name, fit in fits.items():
+        shares = [f"{fit.missed:.1%}", f"{fit.feared:.1%}", f"{fit.disagrees:.2%}"]
+        cells.append([name, f"{fit.tolerance:.3f}", str(fit.delay), *shares])
     best = min(fits, key=lambda name: fits[name].disagrees)
     fit = fits[best]
-    lines += [
-        "",
+    nearest = (
         f"Nearest: --danger {best} --human.tolerance {fit.tolerance:.3f} --human.delay {fit.delay} "
-        f"--human.mistake-rate {fit.disagrees:.4f}",
-    ]
-    return lines
+        f"--human.mistake-rate {fit.disagrees:.4f}"
+    )
+    return [*lines, "", table(cells), nearest]

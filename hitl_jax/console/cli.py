@@ -12,9 +12,13 @@ from typing import Any, TypeVar
 import tyro
 
 from hitl_jax.analysis.figure_style import Drawn
-from hitl_jax.errors import BadInput, LaunchError, ResultsError, WalkerError
+from hitl_jax.errors import InvalidValue, LaunchError, ResultsError, WalkerError
 
 T = TypeVar("T")
+
+
+class BadInput(Exception):
+    """One line that names the option, the value and what is allowed."""
 
 
 def run_main(name: str, main: Callable[[Any], int], args: Sequence[str]) -> int:
@@ -53,13 +57,42 @@ def print_drawn(drawn: Drawn) -> int:
     return 1 if drawn.failures else 0
 
 
+def option(name: str) -> str:
+    """The option for a value of the library: `--human.mistake-rate` for `human.mistake_rate`."""
+    return "--" + name.replace("_", "-")
+
+
 @contextlib.contextmanager
-def checking_input() -> Iterator[None]:
-    """Turns what the library says of a bad value into BadInput; only for checks, not for work."""
+def refusing(results: str = "") -> Iterator[None]:
+    """Turns a ResultsError into BadInput; also for work that reads a folder as it goes on.
+
+    Args:
+        results: the option that names the folder.
+    """
     try:
         yield
+    except InvalidValue as error:
+        raise BadInput(_joined(error.text(option))) from error
+    except ResultsError as error:
+        raise BadInput(f"{results} {error}".strip()) from error
+
+
+@contextlib.contextmanager
+def checking_input(results: str = "") -> Iterator[None]:
+    """Turns what the library says of a bad value into BadInput; only for checks, not for work.
+
+    Args:
+        results: the option that names the folder of which a ResultsError tells.
+    """
+    try:
+        with refusing(results):
+            yield
     except (ValueError, ImportError) as error:
-        raise BadInput(" ".join(str(error).split())) from error
+        raise BadInput(_joined(str(error))) from error
+
+
+def _joined(text: str) -> str:
+    return " ".join(text.split())
 
 
 def parse(options: type[T], args: Sequence[str], prog: str = "hitl-jax") -> T:

@@ -94,3 +94,22 @@ def plain_console(width: int | None = None) -> Console:
     from rich.console import Console  # Not for `hitl-jax --help`: it takes time.
 
     return Console(width=width, markup=False, emoji=False, highlight=False)
+
+
+def say(line: str) -> None:
+    """Prints a line at once, also where standard output is a pipe."""
+    print(line, flush=True)
+
+
+def print_rows(title: str, rows: list[dict[str, Any]]) -> None:
+    """Prints a table; columns of words stand to the left."""
+    from rich.table import Table
+
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    table = Table(title=title, title_justify="left")
+    for name in names:
+        words = all(isinstance(row.get(name, ""), str) for row in rows)
+        table.add_column(name, justify="left" if words else "right")
+    for row in rows:
+        table.add_row(*(str(row.get(name, "")) for name in names))
+    plain_console(None if sys.stdout.isatty() else 120).print(table)

@@ -9,7 +9,6 @@ a person at the keyboard is one more `HumanPart`.
 """
 
 import functools
-import math
 import numbers
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -19,6 +18,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from hitl_jax.choices.checks import require_that, require_up_to
 from hitl_jax.human.indicator import hull_angle, weighted
 
 MAX_DELAY = 32
@@ -64,22 +64,19 @@ def validate_human_params(params: HumanParams, max_delay: int = MAX_DELAY) -> No
         max_delay: longest delay that the human was made for [steps].
 
     Raises:
-        ValueError: one line with the option, the value and what is allowed.
+        InvalidValue: one line with the name, the value and what is allowed.
     """
-    _require("tolerance", params.tolerance, lambda value: value > 0, "a finite number above 0")
-    _require("horizon", params.horizon, lambda value: value >= 0, "a finite number of at least 0")
+    require_that(
+        "human.tolerance", params.tolerance, lambda value: value > 0, "a finite number above 0"
+    )
+    require_that(
+        "human.horizon", params.horizon, lambda value: value >= 0, "a finite number of at least 0"
+    )
     for name in ("mistake_rate", "lapse_rate"):
-        _require(name, getattr(params, name), lambda value: 0 <= value <= 1, "from 0 to 1")
+        require_up_to(f"human.{name}", getattr(params, name), 1)
     limits = {"delay": max_delay, "max_interventions": UNLIMITED, "refractory_steps": UNLIMITED}
     for name, most in limits.items():
-        value = getattr(params, name)
-        if not isinstance(value, numbers.Integral):
-            raise ValueError(f"{_option(name)} {value}: must be a whole number")
-        _require(name, value, functools.partial(_up_to, most), f"from 0 to {most}")
-
-
-def _up_to(most: int, value: float) -> bool:
-    return 0 <= value <= most
+        require_up_to(f"human.{name}", getattr(params, name), most, whole=True)
 
 
 class HumanPart(NamedTuple):
@@ -385,14 +382,3 @@ def _unmoved(
 ) -> State:
     del params, began, in_control
     return state
-
-
-def _require(name: str, value: Any, allowed: Callable[[Any], bool], bounds: str) -> None:
-    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    whole = isinstance(value, numbers.Integral)
-    if not (number and (whole or math.isfinite(value)) and allowed(value)):
-        raise ValueError(f"{_option(name)} {value}: must be {bounds}")
-
-
-def _option(name: str) -> str:
-    return "--human." + name.replace("_", "-")

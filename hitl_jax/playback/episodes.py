@@ -107,20 +107,20 @@ def playing_backend(folder: ResultsFolder) -> str:
     return backend
 
 
-def tell_differences(folder: ResultsFolder, keys: Iterable[RunKey]) -> None:
-    """Prints one line if runs were made with other versions, or on another processor.
+def differences(folder: ResultsFolder, keys: Iterable[RunKey]) -> str:
+    """One line if runs were made with other versions, or on another processor; else empty.
 
     Raises:
         ResultsError: if a run is damaged.
     """
     now = origin()
     every = [line for key in keys for line in changes(_made(folder.load_run(key)), now)]
-    if every:
-        print(
-            f"{folder.path} was made with {'; '.join(dict.fromkeys(every))}: "
-            "numbers can differ by rounding, and a walker's fate with them",
-            flush=True,
-        )
+    if not every:
+        return ""
+    return (
+        f"{folder.path} was made with {'; '.join(dict.fromkeys(every))}: "
+        "numbers can differ by rounding, and a walker's fate with them"
+    )
 
 
 def _made(run: Run) -> dict[str, Any]:

@@ -12,7 +12,8 @@ from PIL import Image, ImageDraw, ImageFont
 from hitl_jax.analysis.figure_style import COLOURS, GREY, import_matplotlib
 from hitl_jax.envs import Command
 from hitl_jax.envs.jax_pool import JaxPool
-from hitl_jax.envs.visible_walker import StepResult, VisibleWalker
+from hitl_jax.envs.visible_walker import Answer, Plant
+from hitl_jax.errors import InvalidValue
 from hitl_jax.playback.draw_walker import Stage
 from hitl_jax.results.atomic_files import write_bytes_atomic
 from hitl_jax.results.recorded_episodes import Recording
@@ -194,11 +195,11 @@ def require_format(path: pathlib.Path) -> None:
     """Notices before any work that a film cannot be written.
 
     Raises:
-        ValueError: in one line, for another ending.
+        InvalidValue: in one line, for another ending.
         ImportError: in one line, if the extra for MP4 is not there.
     """
     if path.suffix not in FORMATS:
-        raise ValueError(f"--out {path}: must end in {' or '.join(FORMATS)}")
+        raise InvalidValue("out", path, f"must end in {' or '.join(FORMATS)}")
     if path.suffix == ".mp4":
         _import_av()
 

@@ -1,9 +1,10 @@
 """Walkers of a results folder as they were when training ended."""
 
+from collections.abc import Callable
 from typing import TypeVar
 
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, validate_hyper
-from hitl_jax.errors import ResultsError
+from hitl_jax.errors import InvalidValue, ResultsError
 from hitl_jax.results.atomic_files import named_errors
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.json_documents import options_of
@@ -37,18 +38,16 @@ def require_same_human(folder: ResultsFolder, human_policy: str | None) -> None:
     """Refuses another source of the human's actions than the results were made with.
 
     Raises:
-        ValueError: one line naming the option.
+        InvalidValue: in one line.
     """
     asked, has = policy_digest(human_policy), folder.load_config().get("human_policy")
     if asked != has:
-        raise ValueError(
-            f"--human-policy {human_policy}: {folder.path} was made with "
-            f"{'the scripted walker' if has is None else f'a file of {has}'}"
-        )
+        made = "the scripted walker" if has is None else f"a file of {has}"
+        raise InvalidValue("human_policy", human_policy, f"{folder.path} was made with {made}")
 
 
-def able_to_play(folder: ResultsFolder) -> list[RunKey]:
-    """The finished runs less those that diverged, which are named in a printed line.
+def able_to_play(folder: ResultsFolder, say: Callable[[str], None]) -> list[RunKey]:
+    """The finished runs less those that diverged, of which `say` is told.
 
     Raises:
         ResultsError: if a run is damaged.
@@ -56,7 +55,7 @@ def able_to_play(folder: ResultsFolder) -> list[RunKey]:
     keys = sort_keys(folder.finished())
     lost = [key for key in keys if folder.load_run(key).diverged]
     if lost:
-        print(f"diverged, left out: {', '.join(map(str, lost))}", flush=True)
+        say(f"diverged, left out: {', '.join(map(str, lost))}")
     return [key for key in keys if key not in lost]
 
 

@@ -7,17 +7,10 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from hitl_jax.config import (
-    AgentConfig,
-    Hyper,
-    Method,
-    hyper_for,
-    require,
-    require_seeds,
-    require_whole,
-    validate_hyper,
-)
+from hitl_jax.choices.checks import one_of, require, require_seeds, require_whole
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, validate_hyper
 from hitl_jax.envs import BACKENDS
+from hitl_jax.errors import InvalidValue
 from hitl_jax.evaluation.trials import MOST_TEST_EPISODES, milestones
 from hitl_jax.learner.frame import Layout
 from hitl_jax.sweep import recorded_human, shards
@@ -126,18 +119,17 @@ class SweepOptions:
         """Checks everything that can be checked before work starts; returns itself.
 
         Raises:
-            ValueError: one line with the option, the value and what is allowed.
+            InvalidValue: one line with the name, the value and what is allowed.
         """
-        if self.preset not in PRESETS:
-            raise ValueError(f"--preset {self.preset}: must be one of {', '.join(PRESETS)}")
-        if self.backend is not None and self.backend not in BACKENDS:
-            raise ValueError(f"--backend {self.backend}: must be one of {', '.join(BACKENDS)}")
+        one_of("preset", self.preset, tuple(PRESETS))
+        if self.backend is not None:
+            one_of("backend", self.backend, tuple(BACKENDS))
         known = list(Method)
         if not self.methods or any(method not in known for method in self.methods):
             given = " ".join(self.methods) or "(none)"
-            raise ValueError(f"--methods {given}: must be some of {', '.join(known)}")
+            raise InvalidValue("methods", given, f"must be some of {', '.join(known)}")
         if len(set(self.methods)) < len(self.methods):
-            raise ValueError(f"--methods {' '.join(self.methods)}: each at most once")
+            raise InvalidValue("methods", " ".join(self.methods), "each at most once")
         scale = self.scale()
         require_seeds(self.first_seed, scale.seeds)
         require_whole("episodes", scale.episodes, at_least=1)
@@ -149,7 +141,7 @@ class SweepOptions:
         self.launch.checked()
         if not self.specs():
             runs = len(self.methods) * scale.seeds
-            raise ValueError(f"--shard {self.shard}: has none of the {runs} runs")
+            raise InvalidValue("shard", self.shard, f"has none of the {runs} runs")
         validate_hyper(self.hyper)
         require_team(self.agent, self.loop)
         if self.launch.launcher == "local":
@@ -166,15 +158,17 @@ def require_room(agent: AgentConfig, loop: LoopConfig, slots: int) -> None:
         slots: runs at a time.
 
     Raises:
-        ValueError: one line with the option, the value and what is allowed.
+        InvalidValue: one line with the name, the value and what is allowed.
     """
     has = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     frame = Layout(agent.observation_size, agent.action_size).width * np.float32().nbytes
     if slots * loop.frames * frame > has:
-        raise ValueError(
-            f"--capacity {loop.capacity}: must be at most {has // (slots * frame)}: the replays of "
-            f"{slots} runs at a time would take {slots * loop.frames * frame / 1e9:.0f} GB, and "
-            f"this machine has {has / 1e9:.0f}"
+        raise InvalidValue(
+            "capacity",
+            loop.capacity,
+            f"must be at most {has // (slots * frame)}: the replays of {slots} runs at a time "
+            f"would take {slots * loop.frames * frame / 1e9:.0f} GB, and this machine has "
+            f"{has / 1e9:.0f}",
         )
 
 
@@ -182,7 +176,7 @@ def require_team(agent: AgentConfig, loop: LoopConfig) -> None:
     """Checks that a team fits the walker and its loop.
 
     Raises:
-        ValueError: one line with the option, the value and what is allowed.
+        InvalidValue: one line with the name, the value and what is allowed.
     """
     for name in ("observation_size", "action_size"):
         has = getattr(AgentConfig(), name)

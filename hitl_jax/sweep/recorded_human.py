@@ -5,7 +5,7 @@ import pathlib
 
 import numpy as np
 
-from hitl_jax.errors import ResultsError
+from hitl_jax.errors import InvalidValue, ResultsError
 from hitl_jax.human.judgement import HumanPart, recorded
 from hitl_jax.results.atomic_files import read_bytes, write_bytes_atomic
 from hitl_jax.results.folder import ResultsFolder
@@ -34,12 +34,12 @@ def load(human: str) -> np.ndarray | None:
         human: `simulated` or `recorded:FILE`.
 
     Raises:
-        ValueError: one line naming the option.
+        InvalidValue: in one line.
     """
     if human == SIMULATED:
         return None
     if not human.startswith(PREFIX):
-        raise ValueError(f"--human {human}: must be {SIMULATED} or {PREFIX}FILE")
+        raise InvalidValue("human", human, f"must be {SIMULATED} or {PREFIX}FILE")
     return _read(pathlib.Path(human.removeprefix(PREFIX)), human)
 
 
@@ -91,6 +91,6 @@ def _read(path: pathlib.Path, human: str) -> np.ndarray:
     try:
         return from_npz(read_bytes(path, _MOST_STEPS), _MOST_STEPS, require)["dangerous"]
     except ResultsError as error:
-        raise ValueError(f"--human {error}") from error
+        raise InvalidValue("human", path, str(error).removeprefix(f"{path}: ")) from error
     except ValueError as error:
-        raise ValueError(f"--human {human}: is no file of `hitl-jax recorded`") from error
+        raise InvalidValue("human", human, "is no file of `hitl-jax recorded`") from error

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeVar
 
+from hitl_jax.errors import InvalidValue
 from hitl_jax.results.run_key import RunKey
 
 T = TypeVar("T")
@@ -50,9 +51,9 @@ def parse(text: str) -> tuple[int, int]:
     """Number and count of a shard as an option names it, such as `3/16`.
 
     Raises:
-        ValueError: one line with the option, the value and what is allowed.
+        InvalidValue: one line with the name, the value and what is allowed.
     """
     number, _, of = text.partition("/")
     if number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of):
         return int(number), int(of)
-    raise ValueError(f"--shard {text}: must be NUMBER/OF, for example 3/16")
+    raise InvalidValue("shard", text, "must be NUMBER/OF, for example 3/16")

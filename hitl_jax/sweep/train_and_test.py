@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from hitl_jax.config import AgentConfig, Method
 from hitl_jax.envs import WalkerPool, make_pool
+from hitl_jax.errors import InvalidValue
 from hitl_jax.evaluation.examiners import make_examiner, num_test_walkers
 from hitl_jax.evaluation.trials import Mode, evaluate_runs
 from hitl_jax.human import actions
@@ -64,22 +65,22 @@ def make_team(
     return make_agent(config, judge=judge, source=source)
 
 
-def policy_digest(policy: str | None, option: str = "human-policy") -> str | None:
+def policy_digest(policy: str | None, name: str = "human_policy") -> str | None:
     """What a `params.npz` holds, for a record of what defines the numbers: not where it lies.
 
     Args:
         policy: the file, or None.
-        option: that names it.
+        name: of the value that names it.
 
     Raises:
-        ValueError: one line, if it cannot be read.
+        InvalidValue: one line, if it cannot be read.
     """
     if policy is None:
         return None
     try:
         held = pathlib.Path(policy).read_bytes()
     except OSError as error:
-        raise ValueError(f"--{option} {policy}: {error.strerror}") from error
+        raise InvalidValue(name, policy, str(error.strerror)) from error
     return "sha256:" + hashlib.sha256(held).hexdigest()
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from flax import traverse_util
 
 from hitl_jax.boundary import get_source
+from hitl_jax.errors import InvalidValue
 from hitl_jax.results.atomic_files import read_bytes
 from hitl_jax.results.npz_archives import from_npz
 from hitl_jax.team import agent as agents
@@ -108,7 +109,7 @@ def load_actor(path: str | os.PathLike[str], observation_size: int, action_size:
         Parameters of an `Actor`; `hidden_sizes` gives its widths.
 
     Raises:
-        ValueError: one line, if the file is missing, no checkpoint, not finite, or of another
+        InvalidValue: one line, if the file is missing, no checkpoint, not finite, or of another
             walker.
     """
     try:
@@ -122,7 +123,7 @@ def load_actor(path: str | os.PathLike[str], observation_size: int, action_size:
         if not all(np.isfinite(array).all() for layer in layers for array in layer):
             raise ValueError("its actor holds numbers that are not finite")
     except ValueError as error:
-        raise ValueError(f"--human-policy {path}: {error}") from error
+        raise InvalidValue("human_policy", path, str(error)) from error
     return {
         "params": {
             f"Dense_{place}": {"kernel": kernel, "bias": bias}

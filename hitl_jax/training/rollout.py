@@ -19,7 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitl_jax.config import require, typed
+from hitl_jax.choices.checks import require
+from hitl_jax.config import typed
 from hitl_jax.envs import WalkerPool
 from hitl_jax.results import recorded_episodes
 from hitl_jax.results.run_key import RunKey

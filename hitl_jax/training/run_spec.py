@@ -8,15 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitl_jax.config import (
-    MOST_SEED,
-    Method,
-    RunHyper,
-    one_of,
-    require,
-    require_whole,
-    validate_hyper,
-)
+from hitl_jax.choices.checks import MOST_SEED, one_of, require, require_whole
+from hitl_jax.config import Method, RunHyper, validate_hyper
+from hitl_jax.errors import InvalidValue
 from hitl_jax.human.judgement import UNLIMITED
 from hitl_jax.results.episode_measures import Row, fall_at_once
 from hitl_jax.results.recorded_episodes import Recording
@@ -44,7 +38,7 @@ class LoopConfig:
     updates_per_step: float = 0.5
 
     def __post_init__(self) -> None:
-        """Checks every number; ValueError names the option, the value and what is allowed."""
+        """Checks every number; InvalidValue names it, its value and what is allowed."""
         require_whole("chunk", self.chunk, at_least=1, at_most=_MOST_FRAMES // 2)
         require_whole("capacity", self.capacity, at_least=2 * self.chunk, at_most=_MOST_FRAMES)
         require("updates_per_step", self.updates_per_step, 0.0, _MOST_UPDATES)
@@ -68,13 +62,16 @@ class LoopConfig:
         """Updates in one call of the learner.
 
         Raises:
-            ValueError: if a chunk has no whole number of delayed actor updates.
+            InvalidValue: if a chunk has no whole number of delayed actor updates.
         """
         updates = self.chunk * self.updates_per_step
         if updates != round(updates) or round(updates) % policy_delay:
-            raise ValueError(
-                f"--updates-per-step {self.updates_per_step}: times --chunk {self.chunk} it must "
-                f"be a multiple of {policy_delay}, the learner's policy delay"
+            raise InvalidValue(
+                "updates_per_step",
+                self.updates_per_step,
+                f"times chunk {self.chunk} it must be a multiple of {policy_delay}, the learner's "
+                "policy delay",
+                mentions=("chunk",),
             )
         return round(updates)
 
@@ -92,7 +89,7 @@ class RunSpec:
         setting: tells runs of one method and seed apart, see `RunKey`.
 
     Raises:
-        ValueError: one line with the field, its value and what is allowed.
+        InvalidValue: one line with the field, its value and what is allowed.
     """
 
     method: Method
@@ -103,7 +100,7 @@ class RunSpec:
     setting: str = ""
 
     def __post_init__(self) -> None:
-        """Checks every field; ValueError names it, its value and what is allowed."""
+        """Checks every field; InvalidValue names it, its value and what is allowed."""
         one_of("method", self.method, tuple(Method))
         require_whole("seed", self.seed, at_most=MOST_SEED)
         require_whole("episodes", self.episodes, at_least=1)

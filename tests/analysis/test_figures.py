@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from hitl_jax.analysis import alarm_figures, figures, stats
 from hitl_jax.analysis.figures import draw_all
 from hitl_jax.benchmarks import scaling
-from hitl_jax.commands import ablation, seed_sweep
 from hitl_jax.commands import figures as command
 from hitl_jax.console.cli import run_main
 from hitl_jax.errors import ResultsError
@@ -23,7 +22,13 @@ from hitl_jax.results import atomic_files
 from hitl_jax.results.episode_tables import EPISODE_COLUMNS, METHODS, PROGRESS_COLUMNS, TEST_COLUMNS
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.run_key import RunKey
+from hitl_jax.studies.ablations import figure
+from hitl_jax.studies.ablations.options import AblationOptions
+from hitl_jax.studies.ablations.runs import runs_of, settings_of
+from hitl_jax.studies.ablations.settings import ABLATIONS
 from hitl_jax.studies.ablations.store import _MEASURES, Store
+from hitl_jax.studies.ablations.write import write_ablation
+from hitl_jax.sweep.background_figures import draw
 
 CONFIG = {
     "agent": {"indicator": "hull_angle", "boundary_source": "rule"},
@@ -384,7 +389,7 @@ def test_a_figure_that_cannot_be_drawn_costs_no_other(plain, monkeypatch, capsys
     told = capsys.readouterr().out.splitlines()
     assert told[-1] == "figure4_training: could not be drawn: RuntimeError: there is no font"
     assert {path.stem for path in plain.path.glob("figures/*")} == {"figure4_steps"}
-    [*_, told] = seed_sweep.draw(plain)
+    [*_, told] = draw(plain)
     assert "figure4_training: could not be drawn" in told
     assert (plain.path / "summary.md").exists()
 
@@ -420,22 +425,21 @@ def test_a_full_disk_is_the_folders_error(plain, monkeypatch):
         draw_all(plain, rng())
 
 
-def test_the_other_drawings_cost_nothing_either(tmp_path, monkeypatch, capsys):
+def test_the_other_drawings_cost_nothing_either(tmp_path, monkeypatch):
     """Of an ablation, of the benchmark, of alarms."""
-    monkeypatch.setattr(ablation.figure, "draw_rows", _fails)
-    options = ablation.AblationOptions(name="methods", seeds=1)
+    monkeypatch.setattr(figure, "draw_rows", _fails)
+    options = AblationOptions(name="methods", seeds=1)
     store = Store(tmp_path / "runs.csv")
-    setting, parts = next(ablation._parts(ablation.ABLATIONS["methods"]))
-    [run, *_] = ablation._ids(setting, parts, options)
+    setting, parts = next(settings_of(ABLATIONS["methods"]))
+    [run, *_] = runs_of(setting, parts, options)
     store.add(run, dict.fromkeys(_MEASURES, 1.0) | {"commit": "abc"})
-    assert ablation.write_ablation("methods", options, store)
-    assert capsys.readouterr().out == (
-        "methods: could not be drawn: RuntimeError: there is no font\n"
-    )
+    written = write_ablation("methods", options, store)
+    assert written.table
+    assert written.failures == ["methods: could not be drawn: RuntimeError: there is no font"]
     assert (tmp_path / "methods.md").exists()
     monkeypatch.setattr(scaling, "_draw", _fails)
-    scaling.draw_scaling([], str(tmp_path / "scaling.svg"))
-    assert "scaling.svg: could not be drawn: " in capsys.readouterr().out
+    [told] = scaling.draw_scaling([], str(tmp_path / "scaling.svg"))
+    assert "scaling.svg: could not be drawn: " in told
     monkeypatch.setattr(alarm_figures, "_figure", _fails)
     (tmp_path / alarm_figures.DATA).write_text(",".join(alarm_figures.COLUMNS) + "\n")
     [told] = alarm_figures.draw(ResultsFolder(tmp_path)).failures

@@ -20,10 +20,12 @@ import numpy as np
 from damages import Damage, kind_of
 from live_team import setup_of
 
-from hitl_jax.analysis import alarm_figures
-from hitl_jax.commands import boundary_map, live, recorded, seed_sweep, tuning
+from hitl_jax.analysis import alarm_figures, boundary_map
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.live import journal
+from hitl_jax.live.begin import networks_from
+from hitl_jax.live.options import LiveOptions
+from hitl_jax.live.recorded_person import options_from
 from hitl_jax.live.session import Session
 from hitl_jax.playback import load_trained
 from hitl_jax.results.atomic_files import named_errors
@@ -32,8 +34,11 @@ from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.recorded_episodes import STEP_COLUMNS, Recording
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.studies.ablations.store import _COLUMNS, Store
+from hitl_jax.studies.tuning import table as tuning_table
+from hitl_jax.studies.tuning.options import TuningOptions
 from hitl_jax.sweep import recorded_human
 from hitl_jax.sweep.options import SweepOptions
+from hitl_jax.sweep.run_sweep import config_of
 from hitl_jax.team import agent as agents
 from hitl_jax.team import checkpoint
 from hitl_jax.team.agent import make_agent
@@ -105,7 +110,7 @@ def make(root: pathlib.Path) -> None:
     (root / "tuning").mkdir()
     stage = {"ticks": 2, "seconds": 1.0, "srl": [1.0], "hitl-fix": [1.0], "hitl-ac": [1.0]}
     asked = {
-        "budget": tuning._budget(tuning.TuningOptions()),
+        "budget": TuningOptions().budget,
         "agent": config["agent"],
         "loop": config["loop"],
         "hyper": config["hyper"],
@@ -119,7 +124,7 @@ def _config() -> dict[str, Any]:
     options = SweepOptions(
         agent=_AGENT, episodes=_EPISODES, test_episodes=_TESTS, backend="lean", preset="quick"
     )
-    return seed_sweep._config(options)
+    return config_of(options)
 
 
 def _human_of(name: str) -> dict[str, str]:
@@ -205,7 +210,7 @@ def _make_saves(path: pathlib.Path, rng: np.random.Generator) -> None:
 
 def _make_journal(path: pathlib.Path) -> None:
     session, noted = Session(setup_of()), journal.Journal(path)
-    noted.begin(live.LiveOptions().header() | {"made": {"versions": {"jax": "1"}, "commit": None}})
+    noted.begin(LiveOptions().header() | {"made": {"versions": {"jax": "1"}, "commit": None}})
     said: list[dict[str, Any]] = [
         {"type": "danger", "down": True, "frame": 0},
         {"type": "danger", "down": False, "frame": 2},
@@ -267,7 +272,7 @@ def _read_policy(root: pathlib.Path) -> Any:
 
 def _read_start(root: pathlib.Path) -> Any:
     hyper = hyper_for(Method.HITL_AC, Hyper())
-    return live._networks(str(root / "old" / RUN / "params.npz"), _team(), hyper)
+    return networks_from(str(root / "old" / RUN / "params.npz"), _team(), hyper)
 
 
 def _read_saves(root: pathlib.Path) -> Any:
@@ -281,7 +286,7 @@ def _read_saves(root: pathlib.Path) -> Any:
 def _read_journal(root: pathlib.Path, name: str = "session.jsonl") -> Any:
     path = root / name
     header, lines = journal.read(path)
-    recorded._options(header, recorded.RecordedOptions(str(path)))
+    options_from(path, header, None, None)
     session = Session(setup_of())
     for _ in journal.play(session, lines, path):
         pass
@@ -307,8 +312,8 @@ def _read_store(root: pathlib.Path) -> Any:
 
 
 def _read_tuning(root: pathlib.Path) -> Any:
-    found = tuning._load(root / "tuning" / "mine.json")
-    tuning.table(root / "tuning", tuning.TuningOptions())
+    found = tuning_table.load(root / "tuning" / "mine.json")
+    tuning_table.table(root / "tuning", TuningOptions())
     if found is None:
         raise ValueError("not written by this command")
     return found

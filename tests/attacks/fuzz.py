@@ -18,8 +18,8 @@ sys.path += [str(pathlib.Path(__file__).parents[1]), str(pathlib.Path(__file__).
 
 _READERS = (
     "results human.judgement team.checkpoint training.saved_run training.saved_run_store "
-    "live.messages live.journal analysis.alarm_figures commands.boundary_map commands.recorded "
-    "sweep.recorded_human sweep.shards playback.load_trained commands.tuning "
+    "live.messages live.journal analysis.alarm_figures analysis.boundary_map live.recorded_person "
+    "sweep.recorded_human sweep.shards playback.load_trained studies.tuning.table "
     "studies.ablations.store"
 )
 with atheris.instrument_imports(include=[f"hitl_jax.{name}" for name in _READERS.split()]):

@@ -13,10 +13,12 @@ from live_team import setup_of
 from hitl_jax.commands import live
 from hitl_jax.console.cli import run_main
 from hitl_jax.errors import ResultsError
-from hitl_jax.live import journal
+from hitl_jax.live import address, journal
+from hitl_jax.live.options import LiveOptions
 from hitl_jax.live.session import Session
+from hitl_jax.results.atomic_files import write_bytes_atomic
 
-_HEADER = live.LiveOptions().header()
+_HEADER = LiveOptions().header()
 
 
 def _begun(path):
@@ -82,8 +84,8 @@ def test_a_name_to_which_nothing_can_be_added_is_refused_at_the_start(tmp_path, 
         assert not path.exists()
     longest = tmp_path / ("a" * (most - 10))
     _begun(longest).close()
-    for ending in journal.COMPANION_ENDINGS:
-        live.write_bytes_atomic(longest.with_name(longest.name + ending), b"")
+    for ending in journal.BESIDE:
+        write_bytes_atomic(longest.with_name(longest.name + ending), b"")
 
 
 @pytest.mark.parametrize("how", ["removed", "renamed", "replaced", "linked"])
@@ -213,33 +215,33 @@ def test_the_token_is_in_no_command_line(tmp_path, monkeypatch):
     """The browser gets the name of a file that only the user can read."""
     program, kept = tmp_path / "browser.py", tmp_path / "kept"
     program.write_text(_BROWSER)
-    address = "http://127.0.0.1:8765/?token=secret"
+    page_address = "http://127.0.0.1:8765/?token=secret"
     path = tmp_path / "session.jsonl"
 
     def open_in(url):
         subprocess.run([sys.executable, str(program), str(kept), url], check=True)
 
-    monkeypatch.setattr(live.webbrowser, "open", open_in)
+    monkeypatch.setattr(address.webbrowser, "open", open_in)
     old = os.umask(0)
     try:
-        with live.opened(address, path):
+        with address.opened(page_address, path):
             assert len(list(tmp_path.glob("*.html"))) == 1
     finally:
         os.umask(old)
     arguments, mode, page = kept.read_text().split("\n", 2)
     assert "secret" not in arguments
     assert stat.S_IMODE(int(mode)) == 0o600
-    assert f"url={address}" in page
+    assert f"url={page_address}" in page
     assert not list(tmp_path.glob("*.html"))
 
 
 def test_a_link_where_the_file_would_be_is_replaced_and_not_followed(tmp_path, monkeypatch):
-    monkeypatch.setattr(live.webbrowser, "open", lambda url: None)
+    monkeypatch.setattr(address.webbrowser, "open", lambda url: None)
     users = tmp_path / "thesis.tex"
     users.write_text("years of work")
     path = tmp_path / "session.jsonl"
-    path.with_name(path.name + journal.REDIRECT_ENDING).symlink_to(users)
-    with live.opened("http://127.0.0.1:1/?token=secret", path):
+    path.with_name(path.name + journal.DOOR).symlink_to(users)
+    with address.opened("http://127.0.0.1:1/?token=secret", path):
         pass
     assert users.read_text() == "years of work"
 

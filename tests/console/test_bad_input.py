@@ -12,8 +12,8 @@ from example_results import CONFIG, KEY, make_episodes, make_info, make_params, 
 from example_saves import make_saved
 
 from hitl_jax.analysis.summary import write_summary
-from hitl_jax.console.cli import checking_input, parse
-from hitl_jax.errors import BadInput, ResultsError
+from hitl_jax.console.cli import BadInput, checking_input, parse
+from hitl_jax.errors import ResultsError
 from hitl_jax.results import atomic_files
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.recorded_episodes import Recording

@@ -12,10 +12,10 @@ from toy import ToyPool
 
 from hitl_jax.benchmarks import loop, peers, scaling
 from hitl_jax.benchmarks.learner import update_flops
+from hitl_jax.benchmarks.timing import busy_seconds, memory_mb, stolen_seconds
 from hitl_jax.commands.benchmark import main
 from hitl_jax.config import AgentConfig, Method
 from hitl_jax.console.cli import run_main
-from hitl_jax.console.timing import busy_seconds, memory_mb, stolen_seconds
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.xla.devices import learning_devices

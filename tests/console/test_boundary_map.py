@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 
+from hitl_jax.analysis.boundary_map import DATA
 from hitl_jax.commands import boundary_map
 from hitl_jax.config import AgentConfig, Hyper
 from hitl_jax.console.cli import run_main
@@ -46,7 +47,7 @@ def _run(folder, *options):
 def test_the_map_shows_what_is_executed(tmp_path, source, carry, expected):
     folder = _folder(tmp_path / "out", source, carry)
     assert _run(folder, "--episodes", "2") == 0
-    rows = list(csv.DictReader((folder.path / boundary_map.DATA).read_text().splitlines()))
+    rows = list(csv.DictReader((folder.path / DATA).read_text().splitlines()))
     assert rows
     # An untrained actor gives τ_0 everywhere; `residual` adds what line 8 has gathered, but 0.05
     # is the least boundary.

@@ -12,6 +12,7 @@ from hitl_jax.analysis.figure_style import Drawn
 from hitl_jax.analysis.summary import skill_over_training
 from hitl_jax.commands import report
 from hitl_jax.console.cli import run_main
+from hitl_jax.reports import report as reports
 from hitl_jax.results.episode_tables import (
     EPISODE_COLUMNS,
     PROGRESS_COLUMNS,
@@ -186,7 +187,7 @@ def test_a_boundary_that_never_settles_is_said_to():
 
 def test_what_is_committed_is_what_the_data_give(tmp_path, monkeypatch):
     # Drawings may differ with matplotlib's version; texts may not.
-    monkeypatch.setattr(report, "draw_all", lambda folder, rng: Drawn([], [], []))
+    monkeypatch.setattr(reports, "draw_all", lambda folder, rng: Drawn([], [], []))
     copy = tmp_path / "results"
     shutil.copytree(_RESULTS, copy)
     assert run_main("report", report.main, ["--results", str(copy)]) == 0

@@ -19,18 +19,17 @@ from test_figures import make_training
 import hitl_jax
 from hitl_jax.analysis import markdown
 from hitl_jax.analysis.figure_style import literal, style
-from hitl_jax.commands import tuning
 from hitl_jax.config import AgentConfig, Hyper
-from hitl_jax.console.cli import parse
-from hitl_jax.console.output import replace_what_cannot_be_encoded
+from hitl_jax.console.cli import BadInput, parse
+from hitl_jax.console.output import print_rows, replace_what_cannot_be_encoded
 from hitl_jax.console.progress import Progress
-from hitl_jax.console.timing import print_rows
-from hitl_jax.errors import BadInput
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.results.episode_tables import METHODS
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.studies.ablations import table
+from hitl_jax.studies.tuning import table as tuning_table
+from hitl_jax.studies.tuning.options import TuningOptions
 from hitl_jax.sweep.options import SweepOptions
 from hitl_jax.training.run_spec import LoopConfig
 
@@ -170,14 +169,16 @@ def test_tables_keep_their_columns(name):
 
 
 def test_a_configuration_of_any_name_is_a_line_of_the_tuning(tmp_path):
-    options = tuning.TuningOptions(seeds=1)
+    options = TuningOptions(seeds=1)
     stage = {"ticks": 2, "seconds": 1.0, "srl": [1.0], "hitl-fix": [1.0], "hitl-ac": [1.0]}
-    asked = {"budget": tuning._budget(options), "agent": dataclasses.asdict(AgentConfig())}
+    asked = {"budget": options.budget, "agent": dataclasses.asdict(AgentConfig())}
     asked |= {"loop": dataclasses.asdict(LoopConfig()), "hyper": dataclasses.asdict(Hyper())}
     done = {"asked": asked, "commit": None, "stages": [stage] * 3}
     done["tests"] = {method: [1.0] for method in METHODS}
     (tmp_path / "a|b – c.json").write_text(json.dumps(done), encoding="utf-8")
-    assert tuning.table(tmp_path, options).splitlines()[2].startswith(r"| a\|b – c | unknown |")
+    assert (
+        tuning_table.table(tmp_path, options).splitlines()[2].startswith(r"| a\|b – c | unknown |")
+    )
 
 
 # --------------------------------------------------------------------------------------- files

@@ -17,14 +17,14 @@ _CHECKOUT = str(pathlib.Path(hitl_jax.__file__).parents[1])
 _SWEEP = """
 import sys
 from hitl_jax.__main__ import main
-from hitl_jax.commands.seed_sweep import _Sweep
+from hitl_jax.sweep.background_figures import BackgroundFigures
 
-def draw(sweep):
-    sweep._draw_at = 0.0
-    sweep._draw_now_and_then()
-    print("the drawing ended with", sweep._drawing.wait())
+def draw(figures):
+    figures._draw_at = 0.0
+    figures.draw_if_due()
+    print("the drawing ended with", figures._drawing.wait())
 
-_Sweep._stop_drawing = draw
+BackgroundFigures.stop = draw
 sys.exit(main(["sweep", *sys.argv[1:]]))
 """
 

@@ -429,8 +429,7 @@ class TestParams:
     )
     def test_bad_values_are_refused_in_one_line(self, name, value):
         params = dataclasses.replace(HumanParams(), **{name: value})
-        option = name.replace("_", "-")
-        with pytest.raises(ValueError, match=f"^--human.{option} .*: must be ") as caught:
+        with pytest.raises(ValueError, match=f"^human.{name} .*: must be ") as caught:
             human.validate_human_params(params)
         assert "\n" not in str(caught.value)
 

@@ -21,6 +21,9 @@ from hitl_jax.config import AgentConfig
 from hitl_jax.console.cli import run_main
 from hitl_jax.errors import ResultsError
 from hitl_jax.live import journal
+from hitl_jax.live.begin import lines_of, setup_of
+from hitl_jax.live.options import LiveOptions
+from hitl_jax.results.provenance import origin
 from hitl_jax.sweep.recorded_human import load
 from hitl_jax.team import checkpoint
 from hitl_jax.team.agent import make_agent
@@ -141,7 +144,7 @@ def test_a_port_in_use_and_another_sessions_journal_are_refused(tmp_path, capsys
         said = _refused(["--port", port, "--journal", str(path)], capsys)
         assert f"--port {port}: Address already in use" in said
     noted = journal.Journal(path)
-    noted.begin(live.LiveOptions(seed=3).header())
+    noted.begin(LiveOptions(seed=3).header())
     assert "another process plays this session" in _refused(["--journal", str(path)], capsys)
     noted.close()
     said = _refused(["--journal", str(path)], capsys)
@@ -152,31 +155,31 @@ def test_a_port_in_use_and_another_sessions_journal_are_refused(tmp_path, capsys
 
 
 def test_a_journal_of_other_versions_says_so(tmp_path, capsys):
-    header = live.LiveOptions().header()
-    made = live.origin()
+    header = LiveOptions().header()
+    made = origin()
     path = tmp_path / "journal.jsonl"
     for name, value in (("jax", "0.4.1"), ("numpy", "1.0"), ("box2d", "2.0")):
         path.unlink(missing_ok=True)
         noted = journal.Journal(path)
         noted.begin(header | {"made": made | {"versions": made["versions"] | {name: value}}})
         noted.close()
-        assert live.lines_of(path, header) == []
+        assert lines_of(path, header, print) == []
         now = made["versions"].get(name, "none")
         assert capsys.readouterr().out == f"{path} was begun with {name} {value}, now {now}\n"
 
 
 def test_a_session_from_before_a_choice_was_one_goes_on_with_its_default(tmp_path):
-    header = live.LiveOptions().header()
+    header = LiveOptions().header()
     old = header | {"agent": dict(header["agent"])}
     del old["agent"]["matmul_precision"]
     path = tmp_path / "journal.jsonl"
     noted = journal.Journal(path)
     noted.begin(old)
     noted.close()
-    assert live.lines_of(path, header) == []
+    assert lines_of(path, header, print) == []
     header["agent"]["matmul_precision"] = "bfloat16"
     with pytest.raises(ResultsError, match="matmul_precision float32, asked for bfloat16"):
-        live.lines_of(path, header)
+        lines_of(path, header, print)
 
 
 @pytest.mark.parametrize(
@@ -191,7 +194,7 @@ def test_a_session_from_before_a_choice_was_one_goes_on_with_its_default(tmp_pat
 def test_what_cannot_be_begun_with_is_refused(changed, message, tmp_path, capsys):
     """Such as a run whose boundary is no number that a rule moves."""
     sizes = (16,) if changed else (8,)
-    setup = live.setup_of(live.LiveOptions(agent=AgentConfig(learner="td3", hidden_sizes=sizes)))
+    setup = setup_of(LiveOptions(agent=AgentConfig(learner="td3", hidden_sizes=sizes)))
     train = setup.first_train(jax.random.key(0))
     arrays = checkpoint.flatten(dataclasses.replace(train, key=None), np.float32(0.3))
     np.savez(tmp_path / "start.npz", **arrays | changed)
@@ -199,7 +202,7 @@ def test_what_cannot_be_begun_with_is_refused(changed, message, tmp_path, capsys
 
 
 def test_watching_takes_a_simulated_human():
-    setup = live.setup_of(live.LiveOptions(mode="watch", seed=1))
+    setup = setup_of(LiveOptions(mode="watch", seed=1))
     assert not setup.with_person
     assert setup.agent.human.init() is not None
     assert setup.agent.config == make_agent(setup.agent.config).config

@@ -14,6 +14,8 @@ from hitl_jax.console.cli import run_main
 from hitl_jax.console.progress import Progress
 from hitl_jax.errors import ResultsError
 from hitl_jax.results.atomic_files import locked
+from hitl_jax.studies.ablations import runs
+from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.settings import ABLATIONS, Ablation, Setting
 from hitl_jax.studies.ablations.store import Store, digest
 from hitl_jax.studies.ablations.table import Line, to_markdown
@@ -147,20 +149,20 @@ def test_a_run_that_diverged_is_marked():
     spec = RunSpec(Method.SRL, 0, hyper_for(Method.SRL, Hyper()), episodes=3)
     run = Run(spec, 0, diverged=Divergence("action", 70, 0))
     finished = FinishedRun(run, {}, np.zeros(()))
-    row = ablation._summary(train_and_test.Tested(finished, [], [], 1.0, "", {}, ""))
+    row = runs.summary_of(train_and_test.Tested(finished, [], [], 1.0, "", {}, ""))
     assert (row["diverged"], row["episodes"], row["final_return_100"]) == (1, 3, -100.0)
     text = to_markdown("Title", "", [Line("tiny", "srl", [row])], np.random.default_rng(0))
     assert "| tiny | srl | 1 (1 diverged) |" in text
 
 
 def test_settings_of_one_program_are_trained_together(tmp_path, monkeypatch):
-    groups, batch = [], ablation._batch
+    groups, batch = [], runs.batch_of
 
-    def nothing_of(name, group, options):
+    def nothing_of(group, options):
         groups.append(set(group.missing))
-        return batch(name, group._replace(missing={}), options)
+        return batch(group._replace(missing={}), options)
 
-    monkeypatch.setattr(ablation, "_batch", nothing_of)
+    monkeypatch.setattr(runs, "batch_of", nothing_of)
     assert _run(tmp_path, "all") == 0
     assert len(groups[0]) == max(map(len, groups)) > 20
     assert not set.intersection(*groups)
@@ -179,7 +181,7 @@ def test_every_setting_can_be_made_and_has_a_label_of_its_own():
 
 
 def test_the_help_names_every_ablation():
-    assert not [name for name in ABLATIONS if name not in ablation.AblationOptions.__doc__]
+    assert not [name for name in ABLATIONS if name not in AblationOptions.__doc__]
 
 
 def test_a_misspelt_option_is_not_passed_over():

@@ -8,6 +8,7 @@ from small import TEAM
 from hitl_jax.commands import tuning
 from hitl_jax.console.cli import run_main
 from hitl_jax.studies.changes import changed
+from hitl_jax.studies.tuning.options import CONFIGURATIONS
 
 
 def _run(*args):
@@ -15,7 +16,7 @@ def _run(*args):
 
 
 def test_measures_once_and_tabulates(tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(tuning.CONFIGURATIONS, "tiny", TEAM | {"warmup_steps": 100})
+    monkeypatch.setitem(CONFIGURATIONS, "tiny", TEAM | {"warmup_steps": 100})
     args = ["--only", "tiny", "--seeds", "1", "--ticks", "208", "--test-episodes", "2"]
     args += ["--out", str(tmp_path)]
     assert _run(*args) == 0
@@ -26,11 +27,11 @@ def test_measures_once_and_tabulates(tmp_path, capsys, monkeypatch):
     measured = json.loads((tmp_path / "tiny.json").read_text())
     asked: list[int] = []
 
-    def measure(name, agent, loop, hyper, options):
+    def measure(parts, options, tell):
         asked.append(options.test_episodes)
         return measured["stages"], measured["tests"]
 
-    monkeypatch.setattr(tuning, "_measure", measure)
+    monkeypatch.setattr(tuning, "measure", measure)
     assert _run(*args) == 0
     assert asked == []
     assert _run(*args[:-2], "--out", str(tmp_path), "--test-episodes", "1") == 0
@@ -39,7 +40,7 @@ def test_measures_once_and_tabulates(tmp_path, capsys, monkeypatch):
 
 
 def test_every_configuration_can_be_made():
-    for changes in tuning.CONFIGURATIONS.values():
+    for changes in CONFIGURATIONS.values():
         changed(changes)
 
 

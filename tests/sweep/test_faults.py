@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from example_results import CONFIG, KEY, save
 
-from hitl_jax.commands.faults import _differences, main
+from hitl_jax.commands.faults import main
 from hitl_jax.console.cli import run_main
+from hitl_jax.faults.killed_sweeps import differences
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.run_key import RunKey
 
@@ -23,16 +24,16 @@ def folders(tmp_path):
 
 def test_what_differs_is_named(folders):
     one, other = folders
-    assert _differences(one, other) == []
+    assert differences(one, other) == []
     run = other.path / f"runs/{KEY.method}/seed-{KEY.seed:04d}"
     params = one.load_params(KEY)
     params["actor/layer_0/bias"][1] = -0.0  # equal, but not the same
     np.savez(run / "params.npz", **params)
-    assert _differences(one, other) == [run / "params.npz"]
+    assert differences(one, other) == [run / "params.npz"]
     (run / "test.csv").write_text((run / "test.csv").read_text() + "\n")
-    assert _differences(one, other) == [run / "test.csv", run / "params.npz"]
+    assert differences(one, other) == [run / "test.csv", run / "params.npz"]
     save(one, RunKey("srl", 0))
-    assert _differences(one, other) == [other.path / "runs"]
+    assert differences(one, other) == [other.path / "runs"]
 
 
 @pytest.mark.parametrize(

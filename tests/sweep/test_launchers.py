@@ -97,7 +97,7 @@ def test_groups_are_of_a_size_and_leave_no_machine_idle(runs, places, sizes):
 
 @pytest.mark.parametrize("text", ["", "3", "0/4", "5/4", "1/0", "-1/4", "a/b", "1/2/3", "1.5/4"])
 def test_what_is_no_shard_is_refused(text):
-    with pytest.raises(ValueError, match=r"--shard .*: must be NUMBER/OF, for example 3/16"):
+    with pytest.raises(ValueError, match=r"shard .*: must be NUMBER/OF, for example 3/16"):
         shards.parse(text)
 
 

@@ -19,14 +19,18 @@ import small
 from forged import as_of_format_1, rewrite
 from PIL import Image
 
-from hitl_jax.commands import alarms, replay, seed_sweep, verify
-from hitl_jax.commands.seed_sweep import _Sweep, main
+from hitl_jax.commands import alarms, replay, verify
+from hitl_jax.commands.seed_sweep import main
 from hitl_jax.console.cli import run_main
-from hitl_jax.evaluation.host import HostExaminer
+from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.playback.alarm_counts import NUM_BOUNDARIES
 from hitl_jax.results import provenance
 from hitl_jax.results.episode_tables import select, table_to_csv
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.run_key import RunKey
+from hitl_jax.sweep import run_sweep
+from hitl_jax.sweep.background_figures import BackgroundFigures
+from hitl_jax.sweep.run_sweep import Sweep
 
 _SMALL = [
     *("--seeds", "1", "--episodes", "3", "--test-episodes", "2", "--warmup-steps", "100"),
@@ -63,7 +67,7 @@ def swept(tmp_path_factory):
     out = tmp_path_factory.mktemp("sweep") / "[lr=0.1] $x$ [/data] :smile: τ|"
     with pytest.MonkeyPatch.context() as patch:
         # As if figures were due after every chunk, the last ones of each run included.
-        patch.setattr(_Sweep, "_draw_now_and_then", _Sweep._save_partial)
+        patch.setattr(BackgroundFigures, "draw_if_due", lambda figures: figures._prepare())
         assert _run(out) == 0
     return out
 
@@ -96,7 +100,7 @@ def test_alarms_are_counted_in_the_episodes_of_the_tests(swept):
     for run in ResultsFolder(swept).load_all():
         alone = select(run.tests, "mode", "autonomous")
         rows = [row for row in counted if row["method"] == run.key.method]
-        assert len(rows) == alarms.NUM_BOUNDARIES
+        assert len(rows) == NUM_BOUNDARIES
         assert {int(row["steps"]) for row in rows} == {alone["length"].sum()}
         assert {int(row["falls"]) for row in rows} == {alone["fall"].sum()}
         assert int(rows[0]["alarms"]) == int(rows[0]["steps"])  # a boundary of 0
@@ -209,7 +213,7 @@ def test_a_second_start_skips_what_is_done_and_adds_seeds(swept, capsys):
 
 
 def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys, monkeypatch):
-    show, evaluate, chunks = _Sweep._show, HostExaminer.evaluate, itertools.count(1)
+    show, evaluate, chunks = Sweep._show, Evaluator.evaluate, itertools.count(1)
 
     def stop_in_training(sweep, running):
         if next(chunks) == 5:
@@ -226,10 +230,10 @@ def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys,
             assert killed.poll() is None, killed.communicate()[1]
             time.sleep(0.05)
         killed.kill()
-    monkeypatch.setattr(seed_sweep, "draw", lambda _: [])
+    monkeypatch.setattr(run_sweep, "draw", lambda _: [])
     for owner, name, stop, code in (
-        (_Sweep, "_show", stop_in_training, 143),
-        (HostExaminer, "evaluate", stop_in_a_test, 130),
+        (Sweep, "_show", stop_in_training, 143),
+        (Evaluator, "evaluate", stop_in_a_test, 130),
     ):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(owner, name, stop)

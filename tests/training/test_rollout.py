@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from toy import ToyPool
 
+from hitl_jax.benchmarks.timing import memory_mb
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.console.timing import memory_mb
 from hitl_jax.envs import Command
 from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import evaluate_runs
@@ -167,8 +167,8 @@ def test_reset_seeds_come_from_method_seed_and_episode():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"updates_per_step": -1.0}, "--updates-per-step -1.0: must be at least 0"),
-        ({"capacity": 3}, "--capacity 3: must be at least 32"),
+        ({"updates_per_step": -1.0}, "updates_per_step -1.0: must be at least 0"),
+        ({"capacity": 3}, "capacity 3: must be at least 32"),
     ],
 )
 def test_bad_loop(change, message):
@@ -177,7 +177,7 @@ def test_bad_loop(change, message):
 
 
 def test_updates_of_a_chunk_must_be_whole():
-    with pytest.raises(ValueError, match=r"--updates-per-step 0\.3"):
+    with pytest.raises(ValueError, match=r"updates_per_step 0\.3"):
         LoopConfig(updates_per_step=0.3).num_updates(2)
 
 

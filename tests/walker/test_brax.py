@@ -4,8 +4,9 @@ import jax
 import numpy as np
 import pytest
 
-from hitl_jax.commands import brax_ppo
-from hitl_jax.errors import BadInput
+from hitl_jax.commands.brax_ppo import main
+from hitl_jax.console.cli import BadInput
+from hitl_jax.walker import brax_ppo
 from hitl_jax.walker.brax_env import BipedalWalker
 
 WALKERS = 16
@@ -32,7 +33,7 @@ def test_braxs_ppo_trains_on_it(monkeypatch):
     # No test is asked for, but Brax would compile a reset for one: half a minute.
     monkeypatch.setattr(train.acting, "HostExaminer", lambda *_, **__: None)
     options = brax_ppo.PpoOptions(steps=512, walkers=WALKERS, unroll=16, evaluations=0)
-    seen, policy, _ = brax_ppo.run(options)
+    seen, policy, _ = brax_ppo.run(options, lambda *_: None)
     assert int(seen.count.lo if hasattr(seen.count, "lo") else seen.count) >= 512
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(policy))
     # Ten numbers of the observation are lidar's: shares of a ray.
@@ -48,4 +49,4 @@ def test_braxs_ppo_trains_on_it(monkeypatch):
 )
 def test_bad_options_are_refused(options, said):
     with pytest.raises(BadInput, match=said):
-        brax_ppo.main(brax_ppo.PpoOptions(**options))
+        main(brax_ppo.PpoOptions(**options))

@@ -7,7 +7,8 @@ import sys
 import pytest
 
 _SCRIPT = """
-import hitl_jax.commands
+from hitl_jax.__main__ import main
+main(["verify", "nowhere"])
 import jax
 import jax.numpy as jnp
 def rounds(x):

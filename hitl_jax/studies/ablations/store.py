@@ -10,7 +10,7 @@ import re
 from typing import Any
 
 from hitl_jax.analysis.summary import SUMMARY_COLUMNS
-from hitl_jax.config import MOST_SEED
+from hitl_jax.choices.checks import MOST_SEED
 from hitl_jax.results.atomic_files import named_errors, read_bytes, write_text_atomic
 from hitl_jax.results.config_diff import CAME_LATER
 from hitl_jax.results.episode_tables import cells_from_csv, finite

@@ -6,7 +6,8 @@ import pathlib
 from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from typing import Protocol
 
-from hitl_jax.config import one_of
+from hitl_jax.choices.checks import one_of
+from hitl_jax.errors import InvalidValue
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.sweep.launchers.cluster import connected
 from hitl_jax.sweep.launchers.local import Local
@@ -53,11 +54,13 @@ class LaunchOptions:
         """Checks what can be checked without a cluster; returns itself.
 
         Raises:
-            ValueError: one line with the option, the value and what is allowed.
+            InvalidValue: one line with the name, the value and what is allowed.
         """
         one_of("launcher", self.launcher, LAUNCHERS)
         if self.ray_address is not None and self.launcher != "ray":
-            raise ValueError(f"--ray-address {self.ray_address}: needs --launcher ray")
+            raise InvalidValue(
+                "ray_address", self.ray_address, "needs launcher ray", mentions=("launcher",)
+            )
         return self
 
     @property
@@ -72,8 +75,7 @@ class LaunchOptions:
         """Connects to the cluster, if one is asked for, and leaves it at the end.
 
         Raises:
-            ValueError: one line, if there is none.
-            ImportError: one line with the extra to install.
+            InvalidValue: one line, if there is none, or with the extra to install.
         """
         with connected(self.ray_address) if self.launcher == "ray" else contextlib.nullcontext():
             yield

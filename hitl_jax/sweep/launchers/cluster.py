@@ -10,7 +10,7 @@ import socket
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from hitl_jax.errors import LaunchError, first_line
+from hitl_jax.errors import InvalidValue, LaunchError, first_line
 from hitl_jax.sweep.train_and_test import Batch
 from hitl_jax.xla.cores import num_cores
 
@@ -51,8 +51,7 @@ def connected(address: str | None) -> Iterator[None]:
         address: as `ray.init` takes it; None begins a cluster of this machine alone.
 
     Raises:
-        ValueError: one line, if there is no cluster.
-        ImportError: one line with the extra to install.
+        InvalidValue: one line, if there is no cluster, or with the extra to install.
     """
     # Nobody has asked for it; it would tell Ray's makers of each start.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
@@ -62,7 +61,7 @@ def connected(address: str | None) -> Iterator[None]:
     try:
         import ray
     except ImportError as error:
-        raise ImportError('--launcher ray needs: pip install -e ".[ray]"') from error
+        raise InvalidValue("launcher", "ray", 'needs pip install -e ".[ray]"') from error
     if address is None:
         options: dict[str, Any] = {
             "address": "local",
@@ -77,8 +76,8 @@ def connected(address: str | None) -> Iterator[None]:
     try:
         ray.init(logging_level=logging.ERROR, **options)
     except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
-        asked = "--launcher ray" if address is None else f"--ray-address {address}"
-        raise ValueError(f"{asked}: no cluster: {first_line(error)}") from error
+        asked = ("launcher", "ray") if address is None else ("ray_address", address)
+        raise InvalidValue(*asked, f"no cluster: {first_line(error)}") from error
     try:
         yield
     finally:
@@ -92,7 +91,7 @@ def _require_there(address: str) -> None:
         try:
             socket.create_connection((host, int(port)), timeout=_CONNECT_SECONDS).close()
         except (OSError, OverflowError) as error:
-            raise ValueError(f"--ray-address {address}: no cluster: {error}") from error
+            raise InvalidValue("ray_address", address, f"no cluster: {error}") from error
 
 
 def places_of(nodes: Sequence[dict[str, Any]]) -> Places:

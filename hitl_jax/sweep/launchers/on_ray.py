@@ -59,7 +59,7 @@ class OnRay:
         saves = [self._folder / batch.name for batch in batches if batch.specs]
         if any(path.exists() for path in saves):
             self._say(
-                "runs that --launcher local has saved begin anew here; it would go on with them"
+                "runs that the local launcher has saved begin anew here; it would go on with them"
             )
         places = places_of(ray.nodes())
         if places.unused:

@@ -10,11 +10,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-from rich.table import Table
-
-from hitl_jax.console.output import plain_console
-
-Row = dict[str, Any]
 
 REPEATS = 5
 
@@ -33,18 +28,6 @@ def best(call: Callable[[], Any], seconds: float) -> float:
         jax.block_until_ready(result)
         least = min(least, (time.perf_counter() - start) / count)
     return least
-
-
-def print_rows(title: str, rows: list[Row]) -> None:
-    """Prints a table; columns of words stand to the left."""
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    table = Table(title=title, title_justify="left")
-    for name in names:
-        words = all(isinstance(row.get(name, ""), str) for row in rows)
-        table.add_column(name, justify="left" if words else "right")
-    for row in rows:
-        table.add_row(*(str(row.get(name, "")) for name in names))
-    plain_console(None if sys.stdout.isatty() else 120).print(table)
 
 
 def memory_mb(children: bool = False) -> float:

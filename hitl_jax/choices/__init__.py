@@ -1,0 +1,1 @@
+"""Values that a caller chooses: how they are checked."""

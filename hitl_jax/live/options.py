@@ -1,0 +1,115 @@
+"""The options of a live session."""
+
+import dataclasses
+from typing import Annotated, Any
+
+import tyro
+
+from hitl_jax.choices.checks import one_of, require
+from hitl_jax.config import AgentConfig, Hyper, Method, validate_hyper
+from hitl_jax.errors import InvalidValue
+from hitl_jax.sweep.options import require_room, require_team
+from hitl_jax.sweep.train_and_test import policy_digest
+from hitl_jax.training.run_spec import LoopConfig
+
+MODES = ("train", "test", "watch")
+_SIMULATED = ("human", "takeover_steps")
+
+
+@dataclasses.dataclass(frozen=True)
+class LiveOptions:
+    """Watch a walker learn, and be its human, on a page in the browser.
+
+    Attributes:
+        mode: `train`, you are the human; `watch`, a simulated human is; `test`, a trained walker
+            asks you for help where it crosses its boundary.
+        start: a run's `params.npz` to begin with (default: from scratch; `test` needs one).
+        method: `hitl-ac`, whose boundary is learned, or `hitl-fix`.
+        seed: of the run.
+        ask: whether the walker also stops and asks while it trains.
+        answer_seconds: how long it waits for an answer [s]; then it goes on as if it were "safe".
+        human_policy: a `params.npz` whose actor is the assistant, and the simulated human's hands
+            (default: gymnasium's scripted walker).
+        port: of the page, on this machine; 0 takes any.
+        open_page: whether to open the page in a browser.
+        journal: where everything is noted. The same command goes on where it was; what was learned
+            is beside it, with the ending .npz.
+        agent: static choices.
+        loop: how much the run learns.
+        hyper: numbers.
+    """
+
+    mode: str = "train"
+    start: str | None = None
+    method: str = "hitl-ac"
+    seed: int = 0
+    ask: bool = False
+    answer_seconds: float = 5.0
+    human_policy: str | None = None
+    port: int = 8765
+    open_page: bool = True
+    journal: str = "runs/live/session.jsonl"
+    agent: Annotated[AgentConfig, tyro.conf.arg(name="")] = AgentConfig(intervention="takeover")
+    loop: Annotated[LoopConfig, tyro.conf.arg(name="")] = LoopConfig()
+    hyper: Annotated[Hyper, tyro.conf.arg(name="")] = Hyper()
+
+    def checked(self) -> "LiveOptions":
+        """Checks everything that can be checked before work starts; returns itself.
+
+        Raises:
+            InvalidValue: one line with the name, the value and what is allowed.
+        """
+        one_of("mode", self.mode, MODES)
+        one_of("method", self.method, (str(Method.HITL_AC), str(Method.HITL_FIX)))
+        require("seed", self.seed, at_least=0, at_most=2**32 - 1)
+        require("answer_seconds", self.answer_seconds, at_least=0.1)
+        require("port", self.port, at_least=0, at_most=65535)
+        validate_hyper(self.hyper)
+        require_team(self.agent, self.loop)
+        require_room(self.agent, self.loop, slots=1)
+        if self.mode == "test" and self.start is None:
+            raise InvalidValue(
+                "start", "(none)", "mode test needs a run's params.npz", mentions=("mode",)
+            )
+        # The others find a boundary as they act: there is none to show of the state that comes
+        # next, nor one that a label could move afterwards.
+        one_of("boundary_source", self.agent.boundary_source, ("rule",))
+        if self.with_person:
+            one_of("feedback_schedule", self.agent.feedback_schedule, ("step",))
+            self._require_nothing_simulated()
+        elif self.ask:
+            raise InvalidValue(
+                "ask", True, "there is nobody to ask with mode watch", mentions=("mode",)
+            )
+        return self
+
+    def _require_nothing_simulated(self) -> None:
+        """Refuses options of the simulated human, whom nobody would ask."""
+        for part, names in ((self.agent, ("danger", "release")), (self.hyper, _SIMULATED)):
+            for name in names:
+                if getattr(part, name) != getattr(type(part)(), name):
+                    raise InvalidValue(
+                        name,
+                        ...,
+                        "is of the simulated human; where you are the human (mode train, test) it "
+                        "has no meaning",
+                        mentions=("mode",),
+                    )
+
+    @property
+    def with_person(self) -> bool:
+        """Whether a person is the human."""
+        return self.mode != "watch"
+
+    def header(self) -> dict[str, Any]:
+        """What defines the session's numbers; a journal begins with it."""
+        return {
+            "mode": self.mode,
+            "method": self.method,
+            "seed": self.seed,
+            "start": policy_digest(self.start, name="start"),
+            "human_policy": policy_digest(self.human_policy),
+            "agent": dataclasses.asdict(self.agent),
+            "loop": dataclasses.asdict(self.loop),
+            "hyper": dataclasses.asdict(self.hyper),
+        }

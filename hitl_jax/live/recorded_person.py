@@ -1,0 +1,152 @@
+"""A person of a live session: the steps that they judged, and the simulated human nearest them."""
+
+import dataclasses
+import pathlib
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from hitl_jax.config import AgentConfig, Hyper
+from hitl_jax.errors import InvalidValue
+from hitl_jax.human.fit import FittedHuman, fit_human
+from hitl_jax.human.indicator import hull_angle, weighted
+from hitl_jax.human.judgement import HumanParams
+from hitl_jax.live import journal
+from hitl_jax.live.begin import setup_of
+from hitl_jax.live.labels import judged, unjudged
+from hitl_jax.live.options import LiveOptions
+from hitl_jax.live.session import Session
+from hitl_jax.live.setup import Setup
+from hitl_jax.results.config_diff import completed
+from hitl_jax.results.json_documents import options_of
+from hitl_jax.training.run_spec import LoopConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class _Begun:
+    """The first line of a journal; the files are told by their digests."""
+
+    journal: int
+    mode: str
+    method: str
+    seed: int
+    start: str | None
+    human_policy: str | None
+    agent: AgentConfig
+    loop: LoopConfig
+    hyper: Hyper
+
+
+class Steps(NamedTuple):
+    """The steps of a session that a person judged.
+
+    Attributes:
+        observation: s_t, [T, O].
+        begins: whether an episode, or the rest of it after steps that nobody judged, begins here,
+            bool [T].
+        alarmed: C, bool [T].
+        dangerous: h_t = 0 as it stands at the end, bool [T].
+        episodes: how many there were.
+        unjudged: how many steps nobody judged.
+    """
+
+    observation: np.ndarray
+    begins: np.ndarray
+    alarmed: np.ndarray
+    dangerous: np.ndarray
+    episodes: int
+    unjudged: int
+
+
+def setup_again(
+    path: pathlib.Path, header: journal.Line, start: str | None, human_policy: str | None
+) -> Setup:
+    """What a session began with, from its journal.
+
+    Args:
+        path: of the journal.
+        header: its first line.
+        start: the `params.npz` that it began with, if it began with one.
+        human_policy: the `params.npz` of its assistant, if it had one.
+
+    Raises:
+        ValueError: one line, if the files are others, or nobody judged.
+    """
+    options = options_from(path, header, start, human_policy)
+    asked = options.header()
+    for name, given in (("start", start), ("human_policy", human_policy)):
+        if asked[name] != header.get(name):
+            raise InvalidValue(name, given, f"the session had {header.get(name)}")
+    if not options.with_person:
+        raise ValueError(f"{path}: mode watch: no person judged in this session")
+    return setup_of(options)
+
+
+def options_from(
+    path: pathlib.Path, header: journal.Line, start: str | None, human_policy: str | None
+) -> LiveOptions:
+    """The options of a session, from its journal; see `setup_again`."""
+    try:
+        told = {name: value for name, value in header.items() if name != "made"}
+        begun = options_of(completed(told), _Begun)
+    except ValueError as error:
+        raise ValueError(f"{path}: is no journal of a live session: {error}") from error
+    return LiveOptions(
+        mode=begun.mode,
+        start=start,
+        method=begun.method,
+        seed=begun.seed,
+        human_policy=human_policy,
+        agent=begun.agent,
+        loop=begun.loop,
+        hyper=begun.hyper,
+    ).checked()
+
+
+def steps_of(session: Session, lines: list[journal.Line], path: pathlib.Path) -> Steps:
+    """Plays a session again, and takes the steps that a person judged.
+
+    Args:
+        session: at its beginning.
+        lines: of its journal.
+        path: of the journal.
+
+    Raises:
+        ResultsError: if it does not come out as it was noted.
+    """
+    seen, begins, alarmed, live = [], [], [], []
+
+    def note() -> None:
+        frame = session.frame
+        seen.append(frame.observation)
+        begins.append(frame.step == 0)
+        alarmed.append(frame.alarmed)
+        live.append(not frame.ended)
+
+    for _ in journal.play(session, lines, path, before_step=note):
+        pass
+    dangerous = judged(session.labels, 0, len(live))
+    nobodys = unjudged(session.labels, 0, len(live))
+    after = np.concatenate([[False], nobodys])[:-1]
+    live_steps = np.array(live, bool)
+    kept = live_steps & ~nobodys
+    return Steps(
+        observation=np.array(seen)[kept],
+        begins=(np.array(begins, bool) | after)[kept],
+        alarmed=np.array(alarmed, bool)[kept],
+        dangerous=dangerous[kept],
+        episodes=sum(begins),
+        unjudged=int((live_steps & nobodys).sum()),
+    )
+
+
+def fits_of(steps: Steps) -> dict[str, FittedHuman]:
+    """The simulated human nearest the person, by its test of danger; see `fit_human`."""
+    signals = {"threshold": hull_angle, "predictive": weighted(1.0, HumanParams().horizon)}
+    return {
+        name: fit_human(
+            np.abs(np.asarray(jax.vmap(signal)(steps.observation))), steps.begins, steps.dangerous
+        )
+        for name, signal in signals.items()
+    }

@@ -1,0 +1,66 @@
+"""Where HITL-AC's trained walkers are, and which boundary they have there."""
+
+import contextlib
+from collections.abc import Callable
+
+import numpy as np
+
+from hitl_jax.analysis.boundary_map import Cells
+from hitl_jax.config import Method
+from hitl_jax.envs import make_pool
+from hitl_jax.errors import ResultsError
+from hitl_jax.evaluation.host import Evaluator, evaluate_policies
+from hitl_jax.playback.episodes import playing_backend
+from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.team.agent import Agent
+
+_SOURCES = ("network", "residual")
+_VELOCITY_UNIT = 25.0  # rad/s; the observation is 2 ω / 50
+
+
+def map_boundary(folder: ResultsFolder, episodes: int, say: Callable[[str], None]) -> None:
+    """Plays the trained walkers alone, and writes the data of the map.
+
+    Args:
+        folder: of a sweep whose boundary an actor gives.
+        episodes: test episodes of a run.
+        say: is told of each run.
+
+    Raises:
+        ResultsError: one line, where there is nothing to map.
+    """
+    agent = agent_of(folder)
+    source = agent.config.boundary_source
+    if source not in _SOURCES:
+        raise ResultsError(
+            f"{folder.path}: its boundary source is {source}: must be one of "
+            f"{', '.join(_SOURCES)}, where an actor's output is executed"
+        )
+    keys = [key for key in able_to_play(folder, say) if key.method == Method.HITL_AC]
+    if not keys:
+        raise ResultsError(f"{folder.path}: no run of HITL-AC has finished yet")
+    cells = Cells()
+    with contextlib.closing(make_pool(playing_backend(folder), episodes)) as pool:
+        evaluator = Evaluator(agent, pool)
+        for key in keys:
+            visited = _visits(agent, evaluator, folder, key)
+            cells.add(visited)
+            say(f"{key}: {len(visited):,} steps")
+    cells.write(folder)
+
+
+def _visits(agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunKey) -> np.ndarray:
+    """Hull angle, angular velocity and boundary of every step of the tests, [T, 3]."""
+    spec, end = load_trained(agent, folder, key)
+    layout = agent.layout
+    visited: list[np.ndarray] = []
+
+    def watch(decided: np.ndarray, active: np.ndarray) -> None:
+        angle, velocity = decided[active, layout.observation][:, :2].T
+        boundary = decided[active, layout.boundary]
+        visited.append(np.column_stack([angle, velocity * _VELOCITY_UNIT, boundary]))
+
+    evaluate_policies(evaluator, "autonomous", spec, [end], watch)
+    return np.concatenate(visited)

@@ -1,0 +1,242 @@
+"""The report, rebuilt with every figure from saved data.
+
+Each number in it is computed here from the folders of results. Run on what is committed, it
+changes nothing.
+"""
+
+import pathlib
+import shlex
+from collections import Counter
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from hitl_jax.analysis import alarm_figures, boundary_map, stats
+from hitl_jax.analysis.claims import Claim, Results, judge
+from hitl_jax.analysis.figures import draw_all
+from hitl_jax.analysis.markdown import table
+from hitl_jax.analysis.summary import write_summary
+from hitl_jax.config import Hyper, Method
+from hitl_jax.errors import ResultsError
+from hitl_jax.playback.load_trained import section_of
+from hitl_jax.results.atomic_files import write_text_atomic
+from hitl_jax.results.config_diff import flatten
+from hitl_jax.results.folder import ResultsFolder, Run
+from hitl_jax.results.provenance import short_commit
+from hitl_jax.studies.ablations.options import AblationOptions
+from hitl_jax.studies.ablations.settings import ABLATIONS
+from hitl_jax.studies.ablations.starts import judge_starts
+from hitl_jax.studies.ablations.store import Store
+from hitl_jax.studies.ablations.write import lines_of, write_ablation
+from hitl_jax.studies.tuning.options import TuningOptions
+from hitl_jax.studies.tuning.table import table as table_of_tuning
+
+_STARTS = "initial-boundary"
+_NETWORK = "network"
+_COMPARED = (Method.HITL_FIX, Method.HITL_AC)
+
+_FIGURES = {
+    "figure4_training": "training return over episodes",
+    "figure4_steps": "the same over environment steps",
+    "figure5_test": "test episodes",
+    "figure5_progress": "autonomous tests during training",
+    "figure6_boundary": "the boundary",
+    "figure6_moves": "what moved it",
+    "figure7_human": "the human's work",
+    "figure8_alarms": "alarms at any boundary",
+}
+
+
+class _Comparison(NamedTuple):
+    """A comparison of the three methods: its learner, with options that are not defaults."""
+
+    learner: str
+    folder: str
+
+
+_COMPARISONS = (
+    _Comparison("td3-tqc", "ten_seeds"),
+    _Comparison("ddpg", "ten_seeds_ddpg"),
+)
+
+
+_HEAD = """\
+# Report
+
+Does what the paper claims hold here, by how much, and what makes it hold? Written by
+`hitl-jax report` from the data in this folder; [README.md](README.md) has what a
+program cannot say.
+
+A claim *holds* or *does not hold* by the rule in the column "to hold"; it is *not decided* where
+the interval allows both, or where it holds in some resamples of the seeds (2.5 to 97.5 %) and not
+in others. Intervals are bootstrap 95 % intervals over seeds.
+"""
+
+
+def write_report(root: pathlib.Path, say: Callable[[str], None]) -> pathlib.Path:
+    """Writes the report, and all tables and figures that it shows.
+
+    Args:
+        root: the folder of results; what is missing in it is said in the report.
+        say: is told which figures could not be drawn, and why.
+
+    Returns:
+        The report's path.
+
+    Raises:
+        ResultsError: if there are no results, or if they are damaged or cannot be written.
+    """
+    if not (any(root.glob("*/config.json")) or (root / "ablations" / "runs.csv").exists()):
+        raise ResultsError(f"{root}: holds no results")
+    parts = [_HEAD]
+    for comparison in _COMPARISONS:
+        parts.append(_comparison(comparison, root, say))
+    parts += [_ablations(root / "ablations", say), _map(root / _NETWORK, say)]
+    parts += [_tuning(root / "tuning"), _settings(root)]
+    path = root / "REPORT.md"
+    write_text_atomic(path, "\n".join(parts))
+    return path
+
+
+def _comparison(comparison: _Comparison, root: pathlib.Path, say: Callable[[str], None]) -> str:
+    folder = ResultsFolder(root / comparison.folder)
+    title = f"## The three methods with `--learner {comparison.learner}`\n"
+    if not folder.path.exists():
+        return f"{title}\nNot run yet.\n"
+    write_summary(folder, np.random.default_rng(stats.SEED))
+    failures = draw_all(folder, np.random.default_rng(stats.SEED)).failures
+    if (folder.path / alarm_figures.DATA).exists():
+        failures += alarm_figures.draw(folder).failures
+    for failure in failures:
+        say(failure)
+    runs: dict[str, list[Run]] = {}
+    for run in folder.load_all():
+        runs.setdefault(run.key.method, []).append(run)
+    config = folder.load_config()
+    seeds = ", ".join(f"{method} {len(of)}" for method, of in runs.items())
+    commits = Counter(short_commit(run.info["commit"]) for of in runs.values() for run in of)
+    made = ", ".join(f"{commit} ({count} runs)" for commit, count in commits.items())
+    hyper = section_of(folder, "hyper", Hyper)
+    try:
+        claims = judge(Results(runs, hyper.human.tolerance))
+    except ValueError as error:
+        return f"{title}\nUnder way: {error}.\n"
+    steps = sum(run.info["env_steps"] for of in runs.values() for run in of) / 1e6
+    machines = Counter(
+        run.info.get("machine", "not recorded") for of in runs.values() for run in of
+    )
+    where = ", ".join(f"{machine} ({count} runs)" for machine, count in machines.items())
+    lost = [str(run.key) for of in runs.values() for run in of if run.diverged]
+    diverged = f"Diverged, counted as falling at once from there on: {', '.join(lost)}.\n\n"
+    name = comparison.folder
+    figures = "".join(
+        f"![{text}]({name}/figures/{stem}.png)\n"
+        for stem, text in _FIGURES.items()
+        if (folder.path / "figures" / f"{stem}.png").exists()
+    )
+    return (
+        f"{title}\nSeeds: {seeds}; {config['episodes']} training episodes and "
+        f"{config['test_episodes']} test episodes each, {steps:.1f} million environment steps of "
+        f"training. Commit {made}; machine: {where}. Options, versions, time and cost of every run "
+        f"are in `{name}`, its tables in [{name}/summary.md]({name}/summary.md).\n\n"
+        f"{diverged if lost else ''}{_claims(claims)}\n{figures}"
+    )
+
+
+def _tuning(folder: pathlib.Path) -> str:
+    title = "## Tuning\n"
+    options = TuningOptions()
+    names = shlex.join(sorted(path.stem for path in folder.glob("*.json")))
+    if not names:
+        return f"{title}\nNone kept.\n"
+    seeds = f"{options.first_seed} to {options.first_seed + options.seeds - 1}"
+    return (
+        f"{title}\nA configuration is run for all three methods: seeds {seeds}, which no "
+        f"comparison above has, {options.ticks:,} ticks (steps and resets) a run, "
+        f"{options.test_episodes} autonomous test episodes. [README.md](README.md#tuning) has the "
+        f"configurations that were tried before.\n\n{table_of_tuning(folder, options)}"
+        f"\n    hitl-jax tuning --only {names} --out results/tuning\n"
+    )
+
+
+def _settings(root: pathlib.Path) -> str:
+    """The options of every comparison that is there."""
+    title = "## Settings\n"
+    configs = {
+        comparison.folder: flatten(ResultsFolder(root / comparison.folder).load_config())
+        for comparison in _COMPARISONS
+        if (root / comparison.folder).exists()
+    }
+    if not configs:
+        return f"{title}\nNone.\n"
+    names = list(dict.fromkeys(name for config in configs.values() for name in config))
+    lines = [["option", *configs]]
+    for name in names:
+        cells = (str(config.get(name, "not there yet")) for config in configs.values())
+        lines.append([name, *cells])
+    return f"{title}\n{table(lines)}"
+
+
+def _claims(claims: list[Claim]) -> str:
+    rows = [["claim", "the paper", "to hold", "measured", "verdict"]]
+    rows += [[c.name, c.paper, c.aim, c.measured, f"**{c.verdict}**"] for c in claims]
+    return table(rows)
+
+
+def _ablations(folder: pathlib.Path, say: Callable[[str], None]) -> str:
+    title = "## Ablations\n"
+    store = Store(folder / "runs.csv")
+    if not store.path.exists():
+        return f"{title}\nNot run yet.\n"
+    options = AblationOptions(name="all")
+    parts = [title, *_starts(options, store)]
+    for name in ABLATIONS:
+        text, failures = write_ablation(name, options, store)
+        for failure in failures:
+            say(failure)
+        if text:
+            command = f"    hitl-jax ablation {name} --out results/ablations\n"
+            picture = f"![{ABLATIONS[name].title}](ablations/{name}.png)\n"
+            parts += [text.replace("# ", "### ", 1), command, picture]
+        else:
+            parts.append(f"### {ABLATIONS[name].title}\n\nNot run yet.\n")
+    return "\n".join(parts)
+
+
+def _map(path: pathlib.Path, say: Callable[[str], None]) -> str:
+    """The boundary over the state, where a network gives it."""
+    title = "## The boundary over the state, with `--boundary-source network`\n"
+    folder = ResultsFolder(path)
+    if not (path / boundary_map.DATA).exists():
+        return f"{title}\nNot run yet.\n"
+    write_summary(folder, np.random.default_rng(stats.SEED))
+    failures = draw_all(folder, np.random.default_rng(stats.SEED)).failures
+    for failure in [*failures, *boundary_map.draw(folder).failures]:
+        say(failure)
+    steps, boundary = boundary_map.told(folder)
+    config, runs = folder.load_config(), len(folder.finished())
+    hyper = section_of(folder, "hyper", Hyper)
+    return (
+        f"{title}\n{runs} runs of {config['episodes']} episodes; the autonomous test, "
+        f"{steps.sum():,.0f} steps. The mean boundary is "
+        f"{np.average(boundary, weights=steps):.2f} rad, of the cells from {boundary.min():.2f} to "
+        f"{boundary.max():.2f}; its bounds are {hyper.boundary_low} and "
+        f"{hyper.boundary_high}, it began at {hyper.initial_boundary}, and the human's "
+        f"tolerance is {hyper.human.tolerance}. Tables: "
+        f"[{path.name}/summary.md]({path.name}/summary.md).\n\n"
+        f"![the boundary over hull angle and its velocity]({path.name}/figures/figure9_map.png)\n"
+    )
+
+
+def _starts(options: AblationOptions, store: Store) -> list[str]:
+    """The claims about τ_0, once every run that they need is there."""
+    lines = {(line.label, line.method): line.runs for line in lines_of(_STARTS, options, store)}
+    labels = [setting.label for setting in ABLATIONS[_STARTS].settings]
+    fixed, learned = (
+        {label: lines.get((label, method), []) for label in labels} for method in _COMPARED
+    )
+    if {len(runs) for runs in (*fixed.values(), *learned.values())} != {options.seeds}:
+        return []
+    default = next(s.label for s in ABLATIONS[_STARTS].settings if not s.changes)
+    return [_claims(judge_starts(fixed, learned, default))]

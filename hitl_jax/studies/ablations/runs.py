@@ -1,0 +1,133 @@
+"""An ablation's runs: which there are, which are missing, and how those are made."""
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from hitl_jax.analysis.summary import summarise_run
+from hitl_jax.config import Hyper, Method, hyper_for
+from hitl_jax.envs import require_backend
+from hitl_jax.results.episode_tables import EPISODE_COLUMNS, TEST_COLUMNS, to_columns, to_table
+from hitl_jax.results.folder import Run
+from hitl_jax.results.provenance import short_commit
+from hitl_jax.studies.ablations.options import AblationOptions
+from hitl_jax.studies.ablations.settings import ABLATIONS, Ablation, Setting
+from hitl_jax.studies.ablations.store import Row, RunId, Store, digest
+from hitl_jax.studies.changes import Parts, changed
+from hitl_jax.sweep.autosave import SAVE_SECONDS
+from hitl_jax.sweep.run_sweep import Display
+from hitl_jax.sweep.train_and_test import Batch, Plant, Tested, make_team
+from hitl_jax.training.run_spec import RunSpec
+
+_SLOTS = 32
+_BACKEND = "lean"
+
+
+class Group(NamedTuple):
+    """Runs that one compiled program can train.
+
+    Attributes:
+        name: of the group among others; its saves are kept by it.
+        parts: the options of one of them.
+        missing: those that the store lacks, with their options.
+    """
+
+    name: str
+    parts: Parts
+    missing: dict[RunId, Parts]
+
+
+def missing_runs(names: Sequence[str], options: AblationOptions, store: Store) -> list[Group]:
+    """The runs of some ablations that the store lacks, by the program that trains them.
+
+    Args:
+        names: some of `ABLATIONS`.
+        options: seeds and budget.
+        store: the runs that are done.
+
+    Returns:
+        The groups, the largest first; one without missing runs is among them.
+
+    Raises:
+        ImportError: one line, if there are such runs and no walkers to make them with.
+    """
+    groups: dict[str, Group] = {}
+    for name in names:
+        for setting, parts in settings_of(ABLATIONS[name]):
+            program = digest(parts._replace(hyper=Hyper()), {})
+            group = groups.setdefault(program, Group(f"under_way-{program}", parts, {}))
+            ids = runs_of(setting, parts, options)
+            group.missing.update({run: parts for run in ids if run not in store})
+    if any(group.missing for group in groups.values()):
+        require_backend(_BACKEND)
+    return sorted(groups.values(), key=lambda group: len(group.missing), reverse=True)
+
+
+def make_runs(
+    groups: Sequence[Group], options: AblationOptions, store: Store, display: Display
+) -> None:
+    """Trains and tests runs, those of one compiled program together, and adds them to the store.
+
+    Args:
+        groups: of `missing_runs`.
+        options: seeds and budget, and where runs are made.
+        store: each run is written as it ends.
+        display: what a person sees.
+
+    Raises:
+        Interrupted: after Ctrl-C or SIGTERM; finished runs are in the store.
+        ResultsError: if the disk refuses.
+    """
+    missing = {run.key: run for group in groups for run in group.missing}
+    batches = [batch_of(group, options) for group in groups]
+    launcher = options.launch.make(store.path.parent, SAVE_SECONDS, store.keys, display.say)
+    with display, contextlib.closing(launcher.make(batches, display.show)) as made:
+        for tested in made:
+            run = missing[tested.key]
+            row = summary_of(tested)
+            store.add(run, row | {"commit": short_commit(tested.commit)})
+            display.finish(tested.finished.run)
+            display.say(
+                f"finished {run.setting or 'defaults'}, {run.method} seed {run.seed}: "
+                f"test {row['test_return_mean']:.1f}"
+            )
+
+
+def batch_of(group: Group, options: AblationOptions) -> Batch:
+    """Runs of one compiled program, seed after seed: early tables are fair."""
+    specs = [
+        RunSpec(
+            Method(run.method),
+            run.seed,
+            hyper_for(Method(run.method), parts.hyper),
+            options.episodes,
+            setting=run.digest,
+        )
+        for run, parts in sorted(group.missing.items(), key=lambda item: item[0].seed)
+    ]
+    agent = make_team(group.parts.agent, group.parts.human_policy)
+    plant = Plant(_BACKEND, _SLOTS, None, options.test_episodes)
+    return Batch(group.name, agent, specs, group.parts.loop, plant)
+
+
+def settings_of(ablation: Ablation) -> Iterator[tuple[Setting, Parts]]:
+    """Its settings, each with the options that it stands for."""
+    for setting in ablation.settings:
+        yield setting, changed(setting.changes)
+
+
+def runs_of(setting: Setting, parts: Parts, options: AblationOptions) -> list[RunId]:
+    """The runs of a setting: of each method all seeds."""
+    mark = digest(parts, options.budget)
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    return [RunId(setting.name, m, seed, mark) for m in setting.methods for seed in seeds]
+
+
+def summary_of(tested: Tested) -> Row:
+    """What the store keeps of a run."""
+    run = tested.finished.run
+    episodes = to_table(to_columns(run.all_episodes(), EPISODE_COLUMNS), EPISODE_COLUMNS)
+    tests = to_table(to_columns(tested.tests, TEST_COLUMNS), TEST_COLUMNS)
+    info = {"wall_seconds": tested.wall_seconds, "diverged": run.diverged}
+    row = summarise_run(Run(run.spec.key, info, episodes, tests))
+    return {name: value for name, value in row.items() if name not in ("method", "seed")}
