@@ -14,7 +14,8 @@ from hitl_jax.live.address import HOST, has_display, listen, opened
 from hitl_jax.live.begin import go_on, lines_of, setup_of
 from hitl_jax.live.journal import Journal
 from hitl_jax.live.options import LiveOptions
-from hitl_jax.live.pacing import Conductor, Manners
+from hitl_jax.live.pacing import PacedSession
+from hitl_jax.live.page_updates import PageOptions
 from hitl_jax.live.session import Session
 from hitl_jax.results.atomic_files import write_bytes_atomic
 from hitl_jax.results.npz_archives import to_npz
@@ -68,8 +69,8 @@ def _serve(options: LiveOptions, session: Session, noted: Journal, listening: so
     port, token = listening.getsockname()[1], secrets.token_urlsafe(16)
     title = f"{options.method.upper()}, seed {options.seed}"
     asks = options.ask or options.mode == "test"
-    manners = Manners(options.mode, title, asks, options.answer_seconds)
-    page = Live(Conductor(session, noted, manners), token)
+    shown = PageOptions(options.mode, title, asks, options.answer_seconds)
+    page = PageServer(PacedSession(session, noted, shown), token)
     address = f"http://{HOST}:{port}/?token={token}"
     print(f"The page: {address}\nThe journal: {options.journal}")
     say("Ctrl-C ends; the same command goes on.")

@@ -65,8 +65,8 @@ def main(options: RecordedOptions) -> int:
     return 0
 
 
-def _said(steps: Steps) -> list[str]:
-    """What is told of a person."""
+def report_of(steps: Steps) -> list[str]:
+    """Lines of text that compare the person with simulated humans."""
     dangerous, alarmed = steps.dangerous, steps.alarmed
     lines = [
         f"{len(dangerous):,} steps of {steps.episodes} episodes; "

@@ -8,7 +8,7 @@ import numpy as np
 
 from hitl_jax.choices.checks import require_whole
 from hitl_jax.config import RunHyper, typed
-from hitl_jax.envs import Command, StepBatch, WalkerPool
+from hitl_jax.envs import Command, WalkerPool
 from hitl_jax.envs.episode_log import EpisodeLog
 from hitl_jax.evaluation.trials import (
     Mode,

@@ -9,7 +9,7 @@ import webbrowser
 from collections.abc import Iterator
 
 from hitl_jax.errors import InvalidValue
-from hitl_jax.live.journal import DOOR
+from hitl_jax.live.journal import REDIRECT_ENDING
 from hitl_jax.results.atomic_files import write_bytes_atomic
 
 HOST = "127.0.0.1"
@@ -46,7 +46,7 @@ def opened(address: str, path: pathlib.Path) -> Iterator[None]:
         address: with the token.
         path: of the journal; the file is put beside it.
     """
-    door = path.absolute().with_name(path.name + DOOR)
+    door = path.absolute().with_name(path.name + REDIRECT_ENDING)
     # Not in a hidden folder, nor in /tmp: a browser in a container may not read there.
     page = f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">\n'
     write_bytes_atomic(door, page.encode(), mode=0o600)

@@ -12,14 +12,14 @@ from hitl_jax.learner.networks import Actor
 from hitl_jax.live import journal, person
 from hitl_jax.live.options import LiveOptions
 from hitl_jax.live.session import Session
-from hitl_jax.live.setup import Setup
+from hitl_jax.live.setup import SessionSetup
 from hitl_jax.results.config_diff import changes, completed
 from hitl_jax.results.provenance import origin
 from hitl_jax.team import checkpoint
 from hitl_jax.team.agent import Agent, make_agent
 
 
-def setup_of(options: LiveOptions) -> Setup:
+def setup_of(options: LiveOptions) -> SessionSetup:
     """What a session begins with.
 
     Raises:
@@ -37,11 +37,11 @@ def setup_of(options: LiveOptions) -> Setup:
     if options.mode == "test":
         hyper = frozen(hyper, human_present=True)
     if options.with_person:
-        hands = person.hands(config.action_size, assistant)
+        hands = person.actions(config.action_size, assistant)
         agent = make_agent(config, judge=person.judge(), source=hands)
     else:
         agent = make_agent(config, source=assistant)
-    return Setup(
+    return SessionSetup(
         agent=agent,
         hyper=hyper,
         loop=options.loop,

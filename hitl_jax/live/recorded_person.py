@@ -17,7 +17,7 @@ from hitl_jax.live.begin import setup_of
 from hitl_jax.live.labels import judged, unjudged
 from hitl_jax.live.options import LiveOptions
 from hitl_jax.live.session import Session
-from hitl_jax.live.setup import Setup
+from hitl_jax.live.setup import SessionSetup
 from hitl_jax.results.config_diff import completed
 from hitl_jax.results.json_documents import options_of
 from hitl_jax.training.run_spec import LoopConfig
@@ -61,7 +61,7 @@ class Steps(NamedTuple):
 
 def setup_again(
     path: pathlib.Path, header: journal.Line, start: str | None, human_policy: str | None
-) -> Setup:
+) -> SessionSetup:
     """What a session began with, from its journal.
 
     Args:

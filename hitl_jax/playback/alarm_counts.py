@@ -13,7 +13,7 @@ from hitl_jax.analysis import alarm_figures
 from hitl_jax.analysis.alarms import AlarmCounts, count_alarms, total
 from hitl_jax.envs import make_pool
 from hitl_jax.errors import ResultsError
-from hitl_jax.evaluation.host import Evaluator, evaluate_policies
+from hitl_jax.evaluation.host import HostExaminer, evaluate_policies
 from hitl_jax.playback.episodes import playing_backend
 from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
 from hitl_jax.results.atomic_files import write_text_atomic
@@ -43,11 +43,11 @@ def write_alarms(folder: ResultsFolder, episodes: int, say: Callable[[str], None
         raise ResultsError(f"{folder.path}: no run has finished yet")
     rows: list[dict[str, Any]] = []
     with contextlib.closing(make_pool(playing_backend(folder), episodes)) as pool:
-        evaluator = Evaluator(agent, pool)
+        examiner = HostExaminer(agent, pool)
         for number, key in enumerate(keys, start=1):
             spec, end = load_trained(agent, folder, key)
             boundaries = np.linspace(0.0, spec.hyper.boundary_high, NUM_BOUNDARIES)
-            counts = _count(agent, evaluator, spec, end, boundaries)
+            counts = _count(agent, examiner, spec, end, boundaries)
             rows += _rows(key, boundaries, counts)
             say(f"{number}/{len(keys)} {key}: {counts.falls} falls")
     text = io.StringIO()
@@ -58,7 +58,7 @@ def write_alarms(folder: ResultsFolder, episodes: int, say: Callable[[str], None
 
 
 def _count(
-    agent: Agent, evaluator: Evaluator, spec: RunSpec, end: Snapshot, boundaries: np.ndarray
+    agent: Agent, examiner: HostExaminer, spec: RunSpec, end: Snapshot, boundaries: np.ndarray
 ) -> AlarmCounts:
     indicator = jax.jit(jax.vmap(agent.indicator))
     sizes: list[np.ndarray] = []
@@ -68,7 +68,7 @@ def _count(
         observation = decided[:, agent.layout.observation]
         sizes.append(np.abs(np.asarray(indicator(observation))))
 
-    rows = evaluate_policies(evaluator, "autonomous", spec, [end], watch)
+    rows = evaluate_policies(examiner, "autonomous", spec, [end], watch)
     played = np.array(sizes)
     return total(
         [

@@ -9,7 +9,7 @@ from hitl_jax.analysis.boundary_map import Cells
 from hitl_jax.config import Method
 from hitl_jax.envs import make_pool
 from hitl_jax.errors import ResultsError
-from hitl_jax.evaluation.host import Evaluator, evaluate_policies
+from hitl_jax.evaluation.host import HostExaminer, evaluate_policies
 from hitl_jax.playback.episodes import playing_backend
 from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
 from hitl_jax.results.folder import ResultsFolder
@@ -43,15 +43,15 @@ def map_boundary(folder: ResultsFolder, episodes: int, say: Callable[[str], None
         raise ResultsError(f"{folder.path}: no run of HITL-AC has finished yet")
     cells = Cells()
     with contextlib.closing(make_pool(playing_backend(folder), episodes)) as pool:
-        evaluator = Evaluator(agent, pool)
+        examiner = HostExaminer(agent, pool)
         for key in keys:
-            visited = _visits(agent, evaluator, folder, key)
+            visited = _visits(agent, examiner, folder, key)
             cells.add(visited)
             say(f"{key}: {len(visited):,} steps")
     cells.write(folder)
 
 
-def _visits(agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunKey) -> np.ndarray:
+def _visits(agent: Agent, examiner: HostExaminer, folder: ResultsFolder, key: RunKey) -> np.ndarray:
     """Hull angle, angular velocity and boundary of every step of the tests, [T, 3]."""
     spec, end = load_trained(agent, folder, key)
     layout = agent.layout
@@ -62,5 +62,5 @@ def _visits(agent: Agent, evaluator: Evaluator, folder: ResultsFolder, key: RunK
         boundary = decided[active, layout.boundary]
         visited.append(np.column_stack([angle, velocity * _VELOCITY_UNIT, boundary]))
 
-    evaluate_policies(evaluator, "autonomous", spec, [end], watch)
+    evaluate_policies(examiner, "autonomous", spec, [end], watch)
     return np.concatenate(visited)

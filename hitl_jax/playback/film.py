@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from hitl_jax.analysis.figure_style import COLOURS, GREY, import_matplotlib
 from hitl_jax.envs import Command
 from hitl_jax.envs.jax_pool import JaxPool
-from hitl_jax.envs.visible_walker import Answer, Plant
+from hitl_jax.envs.visible_walker import StepResult, VisibleWalker
 from hitl_jax.errors import InvalidValue
 from hitl_jax.playback.draw_walker import Stage
 from hitl_jax.results.atomic_files import write_bytes_atomic

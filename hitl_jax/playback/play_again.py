@@ -6,7 +6,7 @@ from typing import get_args
 import numpy as np
 
 from hitl_jax.envs import make_pool
-from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import Mode
 from hitl_jax.playback.episodes import play_tests, playing_backend, returns_of, training_seed
 from hitl_jax.results.episode_tables import select
@@ -34,11 +34,11 @@ def play_again(agent: Agent, folder: ResultsFolder, key: RunKey) -> dict[str, Pa
     autonomous = select(run.tests, "mode", "autonomous")["return"]
     if len(autonomous) and not run.diverged:
         with contextlib.closing(make_pool(playing_backend(folder), len(autonomous))) as pool:
-            evaluator = Evaluator(agent, pool)
+            examiner = HostExaminer(agent, pool)
             for mode in get_args(Mode):
                 recorded = select(run.tests, "mode", mode)["return"]
                 if len(recorded):
-                    tests = play_tests(agent, evaluator, folder, key, mode)
+                    tests = play_tests(agent, examiner, folder, key, mode)
                     again = [test.row["return"] for test in tests]
                     results[mode] = list(zip(recorded.tolist(), again, strict=True))
     return results

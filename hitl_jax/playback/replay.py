@@ -12,7 +12,7 @@ from hitl_jax.choices.checks import one_of
 from hitl_jax.config import Method
 from hitl_jax.envs import make_pool
 from hitl_jax.errors import InvalidValue, ResultsError
-from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import Mode
 from hitl_jax.playback import film
 from hitl_jax.playback.episodes import play_tests, playing_backend, training_seed
@@ -100,7 +100,7 @@ def _find_test(agent: Agent, folder: ResultsFolder, key: RunKey, mode: Mode, num
             "episode", number, f"{key} has {len(recorded)} episodes of the {mode} test"
         )
     with contextlib.closing(make_pool(playing_backend(folder), len(recorded))) as pool:
-        tests = play_tests(agent, Evaluator(agent, pool), folder, key, mode)
+        tests = play_tests(agent, HostExaminer(agent, pool), folder, key, mode)
     test = tests[number - 1]
     return Found(test.seed, test.episode, float(recorded[number - 1]))
 

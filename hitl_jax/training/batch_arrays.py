@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import SingleDeviceSharding
 
-from hitl_jax.config import MOST_SEED, RunHyper, require_whole, typed
+from hitl_jax.choices.checks import MOST_SEED, require_whole
+from hitl_jax.config import RunHyper, typed
 from hitl_jax.learner import replay
 from hitl_jax.team import agent as agents
 from hitl_jax.team.acting import ActingState, init_acting

@@ -17,8 +17,7 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from hitl_jax.choices.checks import MOST_SEED, require_whole
-from hitl_jax.config import RunHyper, typed
+from hitl_jax.config import RunHyper
 from hitl_jax.learner import replay
 from hitl_jax.team import agent as agents
 from hitl_jax.team.acting import init_acting

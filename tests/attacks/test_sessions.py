@@ -240,7 +240,7 @@ def test_a_link_where_the_file_would_be_is_replaced_and_not_followed(tmp_path, m
     users = tmp_path / "thesis.tex"
     users.write_text("years of work")
     path = tmp_path / "session.jsonl"
-    path.with_name(path.name + journal.DOOR).symlink_to(users)
+    path.with_name(path.name + journal.REDIRECT_ENDING).symlink_to(users)
     with address.opened("http://127.0.0.1:1/?token=secret", path):
         pass
     assert users.read_text() == "years of work"

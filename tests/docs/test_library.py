@@ -10,8 +10,8 @@ import pytest
 from official import needs_official
 from pages import headings, python_in, run, section
 
-from hitl_jax.human.indicator import hull_angle, hull_angular_velocity
 from hitl_jax.human import HumanParams
+from hitl_jax.human.indicator import hull_angle, hull_angular_velocity
 from hitl_jax.results.episode_tables import EPISODE_COLUMNS
 from hitl_jax.team import checkpoint
 

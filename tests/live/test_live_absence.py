@@ -10,6 +10,7 @@ from simulated_page import SILENT_FRAMES
 from hitl_jax.commands import recorded
 from hitl_jax.live import journal, messages
 from hitl_jax.live.labels import Label, judged, unjudged
+from hitl_jax.live.recorded_person import steps_of
 from hitl_jax.live.session import Session
 
 
@@ -159,9 +160,7 @@ def _recorded(tmp_path, until, gone):
             session.tick()
             noted.played(session)
     noted.close()
-    return recorded.steps_of(
-        Session(setup_of("penalty", learns=False)), journal.read(path)[1], path
-    )
+    return steps_of(Session(setup_of("penalty", learns=False)), journal.read(path)[1], path)
 
 
 def test_a_recorded_human_has_no_judgements_of_nobody(tmp_path):

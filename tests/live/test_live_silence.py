@@ -9,11 +9,6 @@ from live_team import HYPER, Served, setup_of
 from simulated_page import FRAME, LIMIT, SimulatedPage
 
 from hitl_jax.evaluation.trials import frozen
-from hitl_jax.live import journal, messages, pacing
-from hitl_jax.live.attention import Attention
-from hitl_jax.live.labels import Label, judged, unjudged
-from hitl_jax.live.pacing import Conductor, Manners
-from hitl_jax.live.recorded_person import steps_of
 from hitl_jax.live.session import Session
 
 
@@ -284,121 +279,6 @@ def test_who_is_silent_where_the_walker_asks_is_gone_after_that_frame(live):
     [gone] = one.said("gone")
     assert no_answer["frame"] == gone["frame"] == one.asked
     assert one.number > one.asked
-
-
-def test_answers_are_of_frames_that_were_shown_in_any_order():
-    one = Attention(1.0)
-    one.begin(10)
-    one.show(10)
-    with pytest.raises(ValueError, match=r"^seen: frame 11: must be from 0 to 10$"):
-        one.answer(11)
-    with pytest.raises(ValueError, match=r"^seen: frame -1: must be from 0 to 10$"):
-        one.answer(-1)
-    assert one.seen == 9
-    one.show(20)
-    one.answer(18)
-    one.answer(12)  # It was overtaken.
-    one.answer(0)  # Of a frame before the page came, which it has from somebody's time before.
-    assert one.seen == 18
-    assert [one.is_lost(1 / 16) for _ in range(20)] == [False] * 15 + [True] + [False] * 4
-    one.hear(25)  # A judgement that names a frame that was not shown.
-    assert one.seen == 20
-    assert not any(one.is_lost(0.1) for _ in range(100))  # All was answered.
-    one.show(21)
-    one.hear(None)
-    assert one.seen == 20
-    assert not one.is_lost(60.0)
-
-
-def test_a_judgement_of_frames_that_were_nobodys_counts():
-    session = Session(setup_of("penalty", learns=False))
-    play(session, 40)
-    session.gone(9)
-    assert session.labels == [Label(0, "nobody", 10, 39)]
-    start = session._books.frames(10, 11)[0, session.setup.agent.layout.boundary]
-    assert session.frame.boundary == start
-    alarmed = next(n for n in range(12, 40) if session.flag("alarmed", n))
-    session.danger(True, alarmed)
-    session.danger(False, alarmed)
-    session.let_go(40)
-    assert session.frame.boundary == pytest.approx(start - 0.01, abs=1e-6)
-    assert np.flatnonzero(~unjudged(session.labels, 10, 40)).tolist() == [alarmed - 10]
-    # To take a label back takes back the person's, not that nobody was there.
-    assert session.undo().kind == "danger"
-    assert session.undo() is None
-    assert session.labels == [Label(0, "nobody", 10, 39)]
-    assert session.frame.boundary == start
-
-
-def test_where_no_person_is_none_can_go():
-    session = Session(setup_of(with_person=False, learns=False))
-    with pytest.raises(ValueError, match="nobody is asked in this session"):
-        session.gone(0)
-
-
-@pytest.mark.parametrize(("seen", "first"), [(-1, 0), (0, 1), (9, None), (10, None), (99, None)])
-def test_where_all_was_seen_nothing_is_nobodys(seen, first):
-    session = Session(setup_of(learns=False))
-    play(session, 10)
-    session.take(5)
-    session.gone(seen)
-    assert not session.dangerous
-    assert not session.controls
-    kinds = ["take"] if first is None else ["take", "nobody"]
-    assert [label.kind for label in session.labels] == kinds
-    assert session.labels[0].last == min(seen, 9)
-
-
-def test_a_silence_longer_than_the_replay_is_nobodys_whole():
-    session = Session(setup_of(learns=False))
-    play(session, 20)
-    session.danger(True, 20)
-    play(session, 1000)
-    session.gone(30)
-    assert np.flatnonzero(judged(session.labels, 0, 1000)).tolist() == [*range(20, 31)]
-    assert unjudged(session.labels, 0, 1000).sum() == 1000 - 31
-
-
-def test_no_page_can_say_that_somebody_is_gone():
-    with pytest.raises(ValueError, match="its type must be one of"):
-        messages.parse('{"type": "gone", "frame": 3}')
-
-
-def _recorded(tmp_path, until, gone):
-    """What `hitl-jax recorded` reads where somebody judged frames 10 to 29 and was gone after."""
-    path = tmp_path / "journal.jsonl"
-    session, noted = Session(setup_of("penalty", learns=False)), journal.Journal(path)
-    noted.begin({})
-    said = {
-        10: {"type": "danger", "down": True, "frame": 10},
-        until: {"type": "gone", "frame": gone},
-    }
-    for number in range(65):
-        if number in said:
-            noted.said(session, said[number])
-        if number < 64:
-            session.tick()
-            noted.played(session)
-    noted.close()
-    return steps_of(Session(setup_of("penalty", learns=False)), journal.read(path)[1], path)
-
-
-def test_a_recorded_human_has_no_judgements_of_nobody(tmp_path):
-    steps = _recorded(tmp_path, until=50, gone=29)
-    assert steps.unjudged == 20
-    assert len(steps.dangerous) == len(steps.observation) == len(steps.alarmed) == 44
-    assert np.flatnonzero(steps.dangerous).tolist() == [*range(10, 30)]
-    assert np.flatnonzero(steps.begins).tolist() == [0, 30]  # A delay does not reach across.
-    assert steps.episodes == 1
-    said = "\n".join(recorded._said(steps))
-    assert "44 steps of 1 episodes; judged dangerous: 20 steps" in said
-    assert "steps that nobody was there to judge, left out: 20" in said
-
-
-def test_a_session_that_nobody_saw_has_no_judgements(tmp_path):
-    steps = _recorded(tmp_path, until=64, gone=-1)
-    assert steps.unjudged == 64
-    assert [len(column) for column in steps[:4]] == [0] * 4
 
 
 def test_a_page_that_stands_still_and_comes_back(tmp_path):

@@ -22,7 +22,7 @@ from PIL import Image
 from hitl_jax.commands import alarms, replay, verify
 from hitl_jax.commands.seed_sweep import main
 from hitl_jax.console.cli import run_main
-from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.playback.alarm_counts import NUM_BOUNDARIES
 from hitl_jax.results import provenance
 from hitl_jax.results.episode_tables import select, table_to_csv
@@ -213,7 +213,7 @@ def test_a_second_start_skips_what_is_done_and_adds_seeds(swept, capsys):
 
 
 def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys, monkeypatch):
-    show, evaluate, chunks = Sweep._show, Evaluator.evaluate, itertools.count(1)
+    show, evaluate, chunks = Sweep._show, HostExaminer.evaluate, itertools.count(1)
 
     def stop_in_training(sweep, running):
         if next(chunks) == 5:
@@ -233,7 +233,7 @@ def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys,
     monkeypatch.setattr(run_sweep, "draw", lambda _: [])
     for owner, name, stop, code in (
         (Sweep, "_show", stop_in_training, 143),
-        (Evaluator, "evaluate", stop_in_a_test, 130),
+        (HostExaminer, "evaluate", stop_in_a_test, 130),
     ):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(owner, name, stop)

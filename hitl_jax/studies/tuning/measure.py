@@ -8,7 +8,7 @@ import numpy as np
 
 from hitl_jax.config import Method, hyper_for
 from hitl_jax.envs import make_pool
-from hitl_jax.evaluation.host import Evaluator
+from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import evaluate_runs
 from hitl_jax.results.episode_measures import FALL_REWARD
 from hitl_jax.studies.changes import Parts
@@ -65,10 +65,10 @@ def measure(
             seconds = time.monotonic() - started
             end = {"ticks": ticks, "seconds": seconds, **_returns([], lost)}
             stages += [end] * (STAGES - len(stages))
-        evaluator = Evaluator(agent, test_pool)
+        examiner = HostExaminer(agent, test_pool)
         left = [rollout.collect(run) for run in rollout.runs() if not run.done]
         ended = [*left, *lost]
-        told = evaluate_runs(evaluator, ended, lambda _: ("autonomous",))
+        told = evaluate_runs(examiner, ended, lambda _: ("autonomous",))
         for run, (rows, _) in zip(ended, told, strict=True):
             tests[run.run.spec.method].append(float(np.mean([row["return"] for row in rows])))
     return stages, tests
