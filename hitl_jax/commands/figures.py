@@ -8,8 +8,8 @@ import tyro
 
 from hitl_jax.analysis import stats
 from hitl_jax.analysis.figures import draw_all
-from hitl_jax.console.cli import BadInput, print_drawn
-from hitl_jax.errors import ResultsError
+from hitl_jax.console.cli import BadInput, print_drawn, refusing
+from hitl_jax.results.atomic_files import remove_leftovers
 from hitl_jax.results.folder import ResultsFolder
 
 
@@ -36,11 +36,10 @@ def main(options: Options) -> int:
     Raises:
         BadInput: where there is nothing to draw from.
     """
-    try:
-        folder = ResultsFolder(options.results)
+    folder = ResultsFolder(options.results)
+    remove_leftovers(options.results / "figures")  # Of a drawing that was killed.
+    with refusing():
         drawn = draw_all(folder, np.random.default_rng(stats.SEED))
-    except ResultsError as error:
-        raise BadInput(str(error)) from error
     if not drawn.paths and not drawn.failures:
         raise BadInput(f"{options.results}: no episode has been saved yet")
     return print_drawn(drawn)
