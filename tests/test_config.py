@@ -69,7 +69,8 @@ def test_methods_share_everything_but_their_flags():
 def test_what_the_learners_are():
     named = {
         name: (of.num_critics, of.policy_delay, of.smooths_target, of.num_quantiles)
-        for name, of in LEARNERS.items()
+        for name in LEARNERS
+        for of in [AgentConfig(learner=name).task_learner]
     }
     assert named == {
         "ddpg": (1, 1, False, None),

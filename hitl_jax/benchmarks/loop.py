@@ -98,7 +98,7 @@ def measure_loop(seconds: float) -> list[Row]:
         lambda event, *_, **__: compiled.append(event) if event.endswith(COMPILED) else None
     )
     slots = num_slots(RUNS, RUNS)
-    num_updates = config.num_updates(agent.config.task_learner.policy_delay)
+    num_updates = config.num_updates(agent.learner.policy_delay)
     learn = make_learner(agent.config, slots, num_updates, loop=config)
     rows: list[Row] = []
     with make_pool("lean", slots) as inner, make_pool("lean", slots) as again:

@@ -1,16 +1,18 @@
 """Algorithm 1: the alarm, the Δ rule, and the actor-critic that learns the boundary."""
 
 from hitl_jax.boundary.delta_rule import alarm, boundary_reward, next_boundary
+from hitl_jax.boundary.learner import BoundaryLearner
 from hitl_jax.boundary.losses import boundary_actor_loss, boundary_critic_loss
-from hitl_jax.boundary.sources import BoundarySource, Move, get_source
+from hitl_jax.boundary.sources import SOURCES, BoundarySource, Move
 
 __all__ = [
+    "SOURCES",
+    "BoundaryLearner",
     "BoundarySource",
     "Move",
     "alarm",
     "boundary_actor_loss",
     "boundary_critic_loss",
     "boundary_reward",
-    "get_source",
     "next_boundary",
 ]

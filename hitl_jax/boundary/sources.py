@@ -1,10 +1,16 @@
-"""Boundary sources: where the boundary τ_t of a step comes from."""
+"""Boundary sources by name: where the boundary τ_t of a step comes from.
 
-from collections.abc import Callable
+To add one, write a `BoundarySource` and register it.
+"""
+
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import chex
 import jax.numpy as jnp
+
+from hitl_jax.choices.options import Option
+from hitl_jax.choices.registry import Registry
 
 
 class Move(NamedTuple):
@@ -19,6 +25,7 @@ class Move(NamedTuple):
         target_rate: what `quantile` and `pid` aim at, a share of the steps, [].
         low: least boundary, [].
         high: greatest boundary, [].
+        extra: the run's numbers of the choices' own, by name, each [].
     """
 
     boundary: chex.Array
@@ -29,6 +36,7 @@ class Move(NamedTuple):
     target_rate: chex.Array
     low: chex.Array
     high: chex.Array
+    extra: Mapping[str, chex.Array] = {}
 
 
 class BoundarySource(NamedTuple):
@@ -39,15 +47,24 @@ class BoundarySource(NamedTuple):
     Attributes:
         init: maps τ_0 to the first carry.
         boundary: maps (carry, π_θ(s_t)) to τ_t.
-        advance: maps (carry, what the step told) to the next carry.
+        advance: maps (carry, what the step told) to the next carry. A test is frozen: Δ⁺ is 0, and
+            the carry should stay as it is.
+        options: traced numbers of its own, in `Move.extra`.
     """
 
     init: Callable[[chex.Array], chex.Array]
     boundary: Callable[[chex.Array, chex.Array], chex.Array]
     advance: Callable[[chex.Array, Move], chex.Array]
+    options: tuple[Option, ...] = ()
 
 
-def _network() -> BoundarySource:
+SOURCES: Registry[BoundarySource] = Registry(
+    "boundary source", "boundary_source", lambda value: isinstance(value, BoundarySource)
+)
+
+
+@SOURCES.register("network", "π_θ(s_t); line 8 enters the TD target only")
+def network() -> BoundarySource:
     """τ_t = π_θ(s_t); τ_{t+1} enters the TD target only (the literal reading)."""
     return BoundarySource(
         init=jnp.zeros_like,
@@ -56,7 +73,11 @@ def _network() -> BoundarySource:
     )
 
 
-def _residual() -> BoundarySource:
+@SOURCES.register(
+    "residual",
+    "π_θ(s_t) plus the sum of line 8's steps; the actor is improved at π_θ(s_t), as in line 12",
+)
+def residual() -> BoundarySource:
     """τ_t = π_θ(s_t) + b_t, where b_t gathers line 8's steps."""
     return BoundarySource(
         init=jnp.zeros_like,
@@ -65,7 +86,8 @@ def _residual() -> BoundarySource:
     )
 
 
-def _rule() -> BoundarySource:
+@SOURCES.register("rule", "the scalar that line 8 moves")
+def rule() -> BoundarySource:
     """τ is the scalar that line 8 moves; the networks are trained but not executed."""
     return BoundarySource(
         init=lambda initial: initial,
@@ -77,7 +99,8 @@ def _rule() -> BoundarySource:
 _QUANTILE_GAIN = 10.0  # in units of Δ⁺: where alarms are rare, τ must come down between them
 
 
-def _quantile() -> BoundarySource:
+@SOURCES.register("quantile", "holds the share of alarms at a target")
+def quantile() -> BoundarySource:
     """τ follows that quantile of |c| which a target share of the steps exceeds.
 
     As the thresholds of ThriftyDAgger (https://arxiv.org/abs/2109.08273, section 4.3), but followed
@@ -99,7 +122,8 @@ _PID_SMOOTHING = 2000.0  # steps over which the error of the rate is averaged
 _PROPORTIONAL, _DERIVATIVE = 1e4, 1e4  # Gains in units of Δ⁺; that of the integral is 1.
 
 
-def _pid() -> BoundarySource:
+@SOURCES.register("pid", "holds the share of steps under human control at a target")
+def pid() -> BoundarySource:
     """A PID controller holds the share of steps under human control at a target.
 
     As the multiplier of the takeover cost in EGPO (https://arxiv.org/abs/2110.06831); here τ stands
@@ -125,23 +149,3 @@ def _pid() -> BoundarySource:
         boundary=boundary,
         advance=advance,
     )
-
-
-_SOURCES: dict[str, Callable[[], BoundarySource]] = {
-    "network": _network,
-    "residual": _residual,
-    "rule": _rule,
-    "quantile": _quantile,
-    "pid": _pid,
-}
-
-
-def get_source(name: str) -> BoundarySource:
-    """The boundary source called `network`, `residual`, `rule`, `quantile` or `pid`.
-
-    Raises:
-        ValueError: for any other name.
-    """
-    if name not in _SOURCES:
-        raise ValueError(f"boundary source {name}: must be one of {', '.join(_SOURCES)}")
-    return _SOURCES[name]()

@@ -1,1 +1,1 @@
-"""Values that a caller chooses: how they are checked."""
+"""What can be chosen: registries by kind, the bounds of numbers, and how both are checked."""

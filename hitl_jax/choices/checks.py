@@ -1,8 +1,7 @@
 """Checks of values that a caller chose; each raises `InvalidValue`, one line."""
 
-import math
 import numbers
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,8 @@ MOST_SEED = 2**32 - 1
 """Of a run's seeds: it is one word of its key."""
 _MOST_SEEDS = 100_000
 """Of one command, which holds a list of its runs."""
-_GREATEST = float(np.finfo(np.float32).max)
+GREATEST = float(np.finfo(np.float32).max)
+"""The greatest number that float32 has."""
 
 
 def is_whole(value: Any) -> bool:
@@ -26,7 +26,7 @@ def is_whole(value: Any) -> bool:
 
 
 def require(
-    name: str, value: float, at_least: float = -_GREATEST, at_most: float = _GREATEST
+    name: str, value: float, at_least: float = -GREATEST, at_most: float = GREATEST
 ) -> None:
     """Raises InvalidValue unless `value` is a finite number within the bounds.
 
@@ -38,11 +38,13 @@ def require(
     """
     number = value[()] if isinstance(value, np.ndarray) and value.ndim == 0 else value
     known = isinstance(number, numbers.Real) and not isinstance(number, bool)
-    if not (known and -_GREATEST <= number <= _GREATEST):
+    if not (known and -GREATEST <= number <= GREATEST):
         raise InvalidValue(name, value, "must be a finite number")
     if not at_least <= number <= at_most:
-        bounds = [f"at least {_text(at_least)}"] * (at_least > -_GREATEST)
-        bounds += [f"at most {_text(at_most)}"] * (at_most < _GREATEST)
+        if at_least == at_most:
+            raise InvalidValue(name, value, f"must be {_text(at_least)}")
+        bounds = [f"at least {_text(at_least)}"] * (at_least > -GREATEST)
+        bounds += [f"at most {_text(at_most)}"] * (at_most < GREATEST)
         raise InvalidValue(name, value, f"must be {' and '.join(bounds)}")
 
 
@@ -51,28 +53,6 @@ def require_whole(name: str, value: int, at_least: int = 0, at_most: int = MOST)
     if not is_whole(value):
         raise InvalidValue(name, value, "must be a whole number")
     require(name, value, at_least, at_most)
-
-
-def require_that(name: str, value: Any, allowed: Callable[[Any], bool], what: str) -> None:
-    """Raises InvalidValue unless `value` is a finite number and allowed.
-
-    Args:
-        name: of the value, as in its dataclass.
-        value: Python's.
-        allowed: whether a number is.
-        what: is allowed, in words that follow "must be".
-    """
-    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    whole = isinstance(value, numbers.Integral)
-    if not (number and (whole or math.isfinite(value)) and allowed(value)):
-        raise InvalidValue(name, value, f"must be {what}")
-
-
-def require_up_to(name: str, value: float, most: int, whole: bool = False) -> None:
-    """Raises InvalidValue unless `value` is a number from 0 to `most`."""
-    if whole and not isinstance(value, numbers.Integral):
-        raise InvalidValue(name, value, "must be a whole number")
-    require_that(name, value, lambda number: 0 <= number <= most, f"from 0 to {most}")
 
 
 def require_seeds(first_seed: int, seeds: int) -> None:

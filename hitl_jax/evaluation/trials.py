@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple, Protocol
 import jax
 import numpy as np
 
+from hitl_jax.arbiter import INTERVENTIONS
 from hitl_jax.config import Method, RunHyper
 from hitl_jax.results.episode_measures import Row, fall_at_once
 from hitl_jax.team.acting import ActingState, init_acting
@@ -77,7 +78,8 @@ def milestones(episodes: int) -> tuple[int, ...]:
 
 def as_tested(agent: Agent) -> Agent:
     """The team in a test, where no intervention is a reset."""
-    return agent._replace(config=dataclasses.replace(agent.config, intervention="takeover"))
+    config = dataclasses.replace(agent.config, intervention="takeover")
+    return agent._replace(config=config, intervention=INTERVENTIONS.make("takeover"))
 
 
 def init_test(

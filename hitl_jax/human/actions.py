@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from hitl_jax.human.indicator import WALKER_OBSERVATION
 from hitl_jax.types import Params
 
 State = Any
@@ -23,11 +24,15 @@ class ActionSource(NamedTuple):
         init: () to the state at the start of a run.
         begin_episode: state to the state at the start of an episode.
         act: (state, observation [O], key) to (state, action [A] in [-1, 1]); the key is consumed.
+        observation_size: of the observations that it was made for; None where any will do.
+        action_size: of the actions that it gives, likewise.
     """
 
     init: Callable[[], State]
     begin_episode: Callable[[State], State]
     act: Callable[[State, chex.Array, chex.PRNGKey], tuple[State, chex.Array]]
+    observation_size: int | None = None
+    action_size: int | None = None
 
 
 def policy(apply: Callable[[Params, chex.Array], chex.Array], params: Params) -> ActionSource:
@@ -59,7 +64,7 @@ def with_noise(source: ActionSource, scale: chex.Numeric) -> ActionSource:
         noise = scale * jax.random.normal(noise_key, action.shape, jnp.float32)
         return state, jnp.clip(action + noise, -1.0, 1.0)
 
-    return ActionSource(init=source.init, begin_episode=source.begin_episode, act=act)
+    return source._replace(act=act)
 
 
 # The scripted walker: a state machine of three phases, the numbers those of gymnasium 1.4,
@@ -78,7 +83,7 @@ _HIP_GAIN, _KNEE_GAIN, _DAMPING = 0.9, 4.0, 0.25
 _HULL_GAIN, _HULL_DAMPING = 0.9, 1.5  # Hips, to keep the hull level.
 _HEAVE_DAMPING = 15.0  # Knees, against vertical speed.
 
-_OBSERVATION_SIZE = 24
+_ACTION_SIZE = 4
 _LEGS = slice(4, 14)  # Of the observation: two legs of five entries each, in this order:
 _HIP, _HIP_SPEED, _KNEE, _KNEE_SPEED, _CONTACT = range(5)
 
@@ -118,10 +123,10 @@ def scripted_walker() -> ActionSource:
         state: WalkerState, observation: chex.Array, key: chex.PRNGKey
     ) -> tuple[WalkerState, chex.Array]:
         del key
-        if observation.shape != (_OBSERVATION_SIZE,):
+        if observation.shape != (WALKER_OBSERVATION,):
             raise ValueError(
                 f"observation of shape {observation.shape}: the scripted walker, who acts for "
-                f"the human by default, sees {_OBSERVATION_SIZE}; give `make_agent` another source"
+                f"the human by default, sees {WALKER_OBSERVATION}; give `make_agent` another source"
             )
         legs = _swap(state.swapped, observation[_LEGS].reshape(2, 5))
         after, hip_targets, knee_targets = _advance(state, observation[2], *legs)
@@ -133,7 +138,7 @@ def scripted_walker() -> ActionSource:
         action = _swap(state.swapped, jnp.stack([hips, knees], axis=1)).reshape(4)
         return after, jnp.clip(0.5 * action, -1.0, 1.0)
 
-    return ActionSource(init=init, begin_episode=lambda state: init(), act=act)
+    return ActionSource(init, lambda state: init(), act, WALKER_OBSERVATION, _ACTION_SIZE)
 
 
 def _advance(

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitl_jax.human.judgement import MAX_DELAY
+from hitl_jax.human.params import MAX_DELAY
 
 
 class FittedHuman(NamedTuple):

@@ -1,13 +1,20 @@
-"""The safety indicator c_t: a number in physical units, which the alarm compares with the boundary.
+"""Safety indicators c_t by name: a number in physical units, which the alarm compares with τ_t.
 
-An indicator is any function of one observation f32[O] that gives a scalar f32[]. The named ones
-read BipedalWalker-v3, whose observation holds at index 0 the hull's angle [rad] and at index 1 its
-angular velocity ω [rad/s] as 2 ω / FPS (gymnasium/envs/box2d/bipedal_walker.py, `step`).
+To add one, write a function and register it. An indicator is any function of one observation f32[O]
+that gives a scalar f32[]. The named ones read BipedalWalker-v3, whose observation holds at index 0
+the hull's angle [rad] and at index 1 its angular velocity ω [rad/s] as 2 ω / FPS
+(gymnasium/envs/box2d/bipedal_walker.py, `step`).
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import chex
+
+from hitl_jax.choices.registry import Registry
+
+WALKER_OBSERVATION = 24
+"""Length of BipedalWalker-v3's observation."""
 
 Indicator = Callable[[chex.Array], chex.Array]
 """Maps s_t, f32[O], to c_t, f32[]."""
@@ -15,7 +22,25 @@ Indicator = Callable[[chex.Array], chex.Array]
 FPS = 50
 """Steps of the walker per second (gymnasium/envs/box2d/bipedal_walker.py, `FPS`)."""
 
+INDICATORS: Registry[Indicator] = Registry("safety indicator", "indicator", callable)
 
+
+def sees(observation_size: int) -> Callable[[Any], Any]:
+    """A decorator that says of which observations a function is made; others are refused.
+
+    Args:
+        observation_size: O.
+    """
+
+    def declare(function: Any) -> Any:
+        function.observation_size = observation_size
+        return function
+
+    return declare
+
+
+@INDICATORS.register("hull_angle", "angle of the hull [rad]")
+@sees(WALKER_OBSERVATION)
 def hull_angle(observation: chex.Array) -> chex.Array:
     """c_t = the hull's angle against the horizontal [rad]; positive leans back.
 
@@ -26,6 +51,8 @@ def hull_angle(observation: chex.Array) -> chex.Array:
     return observation[0]
 
 
+@INDICATORS.register("hull_angular_velocity", "its angular velocity [rad/s]")
+@sees(WALKER_OBSERVATION)
 def hull_angular_velocity(observation: chex.Array) -> chex.Array:
     """c_t = the hull's angular velocity [rad/s], FPS / 2 = 25 times what the observation holds.
 
@@ -50,6 +77,7 @@ def weighted(angle_weight: chex.Numeric = 1.0, velocity_weight: chex.Numeric = 0
         The indicator.
     """
 
+    @sees(WALKER_OBSERVATION)
     def indicator(observation: chex.Array) -> chex.Array:
         angle, velocity = hull_angle(observation), hull_angular_velocity(observation)
         return angle_weight * angle + velocity_weight * velocity
@@ -57,27 +85,6 @@ def weighted(angle_weight: chex.Numeric = 1.0, velocity_weight: chex.Numeric = 0
     return indicator
 
 
-INDICATORS: dict[str, Indicator] = {
-    "hull_angle": hull_angle,
-    "hull_angular_velocity": hull_angular_velocity,
-    "weighted": weighted(),
-}
-
-
-def get_indicator(name_or_function: str | Indicator) -> Indicator:
-    """The indicator of that name, or the function itself.
-
-    Args:
-        name_or_function: a name in `INDICATORS`, or a function of an observation [O] to c_t [].
-
-    Raises:
-        ValueError: one line with the allowed names, for anything else.
-    """
-    if callable(name_or_function):
-        return name_or_function
-    if name_or_function not in INDICATORS:
-        raise ValueError(
-            f"indicator {name_or_function}: must be one of {', '.join(INDICATORS)}, "
-            "or a function of the observation"
-        )
-    return INDICATORS[name_or_function]
+INDICATORS.register("weighted", "angle in 0.1 s if the hull goes on turning as it does [rad]")(
+    weighted()
+)

@@ -1,47 +1,75 @@
-"""The task learners: what a name stands for."""
+"""The task learners by name. To add one: implement `TaskLearner` and register it."""
 
-import functools
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import chex
 
+from hitl_jax.choices.registry import Registry, has
 from hitl_jax.learner import losses
+from hitl_jax.learner.deterministic import DeterministicActorCritic
+from hitl_jax.learner.task_learner import NEEDS, Sizes, TaskLearner
+
+LEARNERS: Registry[TaskLearner] = Registry("task learner", "learner", has(*NEEDS))
+"""Each is made from an `AgentConfig`."""
 
 
-class Learner(NamedTuple):
-    """A deterministic actor-critic; its actor follows the first critic, as TD3's.
+def _deterministic(config: Sizes, **choices: Any) -> DeterministicActorCritic:
+    return DeterministicActorCritic(
+        observation_size=config.observation_size,
+        action_size=config.action_size,
+        hidden_sizes=config.hidden_sizes,
+        layer_norm=config.layer_norm,
+        matmul_precision=config.matmul_precision,
+        **choices,
+    )
 
-    Attributes:
-        num_critics: E.
-        policy_delay: critic updates to one actor update.
-        smooths_target: whether noise is added to the target action.
-        target: TD target from reward [B], discount [B] and the target critics' answer.
-        critic_loss: what the critics minimise; see `losses.critic_loss`.
-        num_quantiles: Q, how many quantiles of the return a critic answers with, [E, B, Q]; None
-            where it answers with the mean, [E, B].
+
+@LEARNERS.register("ddpg", "one critic, plain target")
+def ddpg(config: Sizes) -> DeterministicActorCritic:
+    """DDPG (https://arxiv.org/abs/1509.02971)."""
+    return _deterministic(
+        config,
+        num_critics=1,
+        policy_delay=1,
+        smooths_target=False,
+        target=losses.target_q,
+        critic_loss=losses.critic_loss,
+    )
+
+
+@LEARNERS.register("td3", "two critics, smoothed target, delayed actor")
+def td3(config: Sizes) -> DeterministicActorCritic:
+    """TD3 (https://arxiv.org/abs/1802.09477)."""
+    return _deterministic(
+        config,
+        num_critics=2,
+        policy_delay=2,
+        smooths_target=True,
+        target=losses.target_q,
+        critic_loss=losses.critic_loss,
+    )
+
+
+def truncated_target(
+    reward: chex.Array, discount: chex.Array, next_quantiles: chex.Array
+) -> losses.Atoms:
+    """TD targets without the two largest quantiles; see `losses.target_quantiles`.
+
+    In the paper of TQC each of five critics has 25 quantiles of which two are dropped; with two
+    critics of ten each, and one dropped for each, a loss costs a tenth of that.
     """
-
-    num_critics: int
-    policy_delay: int
-    smooths_target: bool
-    target: Callable[[chex.Array, chex.Array, chex.Array], Any]
-    critic_loss: Callable[..., tuple[chex.Array, losses.Metrics]]
-    num_quantiles: int | None = None
+    return losses.target_quantiles(reward, discount, next_quantiles, num_dropped=2)
 
 
-# td3-tqc has TD3's actor, noise and delay, and the critics of "truncated quantile critics"
-# (https://arxiv.org/abs/2005.04269). There each of five critics has 25 quantiles of which two are
-# dropped; with two of ten each, and one dropped for each, a loss costs a tenth of that.
-LEARNERS: dict[str, Learner] = {
-    "ddpg": Learner(1, 1, False, losses.target_q, losses.critic_loss),
-    "td3": Learner(2, 2, True, losses.target_q, losses.critic_loss),
-    "td3-tqc": Learner(
-        2,
-        2,
-        True,
-        functools.partial(losses.target_quantiles, num_dropped=2),
-        losses.quantile_loss,
+@LEARNERS.register("td3-tqc", "as `td3`, the critics learn quantiles of the return")
+def td3_tqc(config: Sizes) -> DeterministicActorCritic:
+    """TD3's actor, noise and delay, with the critics of TQC (https://arxiv.org/abs/2005.04269)."""
+    return _deterministic(
+        config,
+        num_critics=2,
+        policy_delay=2,
+        smooths_target=True,
+        target=truncated_target,
+        critic_loss=losses.quantile_loss,
         num_quantiles=10,
-    ),
-}
+    )

@@ -43,7 +43,7 @@ class BackgroundLearner:
             train: the training state at the start.
         """
         self._agent, self._loop = agent, loop
-        self._num_updates = loop.num_updates(agent.config.task_learner.policy_delay)
+        self._num_updates = loop.num_updates(agent.learner.policy_delay)
         memory = replay.init(loop.frames, 1, agent.layout)
         device = learning_devices()[0]
         self._train, self._memory, self._hyper = jax.device_put((train, memory, hyper), device)

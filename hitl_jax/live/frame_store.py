@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import jax
 import numpy as np
 
+from hitl_jax.arbiter import shaped_reward
 from hitl_jax.config import RunHyper
 from hitl_jax.envs.visible_walker import StepResult
 from hitl_jax.live.labels import Label, boundary_along, judged, unjudged
-from hitl_jax.team import arbiter
 from hitl_jax.team.agent import Agent
 from hitl_jax.training.step_booking import stored_ends
 
@@ -114,9 +114,7 @@ class FrameStore:
             stands = np.isin(self._label[places], [label.number for label in labels])
         control, live = flags["control"][places] & stands, flags["live"][places]
         feedback = np.float32(self._hyper.feedback)
-        shaped = arbiter.shaped_reward(
-            self._reward[places], control, feedback, "step", control, control
-        )
+        shaped = shaped_reward(self._reward[places], control, feedback, "step", control, control)
         terminated, truncated = stored_ends(
             flags["terminated"][places],
             flags["truncated"][places],

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 from flax import struct
 
 from hitl_jax import boundary
+from hitl_jax.arbiter import ArbiterState
 from hitl_jax.config import RunHyper
 from hitl_jax.human.actions import ActionSource, State, scripted_walker
 from hitl_jax.human.judgement import HumanParams, HumanPart
 from hitl_jax.team.acting import ActingState
 from hitl_jax.team.agent import Agent
-from hitl_jax.team.arbiter import ArbiterState
 from hitl_jax.team.packed_decision import act_or_begin
 from hitl_jax.types import Behavior
 

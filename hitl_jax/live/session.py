@@ -29,6 +29,7 @@ from hitl_jax.live.live_person import LivePerson
 from hitl_jax.live.setup import SessionSetup
 from hitl_jax.results.episode_measures import Episode, Row, row_of
 from hitl_jax.team.acting import ActingState, begin_episode, init_acting
+from hitl_jax.team.warmup import may_learn
 from hitl_jax.training import batch_arrays
 from hitl_jax.training.run_spec import episode_seed, method_index
 from hitl_jax.training.step_booking import end_of_step, finite_decision
@@ -84,7 +85,8 @@ class Session:
         self.walker = VisibleWalker()
         # Networks that were learned before act from the first step, without random actions.
         warmup = setup.hyper.warmup_steps if setup.start is None else 0
-        self._hyper = typed(dataclasses.replace(setup.hyper, warmup_steps=warmup))
+        hyper = setup.agent.with_extra(setup.hyper)
+        self._hyper = typed(dataclasses.replace(hyper, warmup_steps=warmup))
         learning, acting, _ = batch_arrays.run_keys(setup.seed, method_index(setup.method))
         train = setup.first_train(learning)
         state = init_acting(agent, self._hyper, acting)
@@ -271,9 +273,9 @@ class Session:
 
     def _end_chunk(self) -> None:
         """Hands the chunk to the learner, and takes its next parameters."""
-        loop, n_step = self.setup.loop, self.setup.agent.config.n_step
-        warm = loop.warmup_ticks(self.setup.hyper.warmup_steps, n_step)
-        self._learner.add_chunk(self._last_chunk(), self._store.count >= warm)
+        setup, count = self.setup, self._store.count
+        warm = may_learn(setup.hyper, count, setup.loop.chunk, setup.agent.config.n_step)
+        self._learner.add_chunk(self._last_chunk(), warm)
         self._behavior = self._current_behavior()
 
     def _last_chunk(self) -> np.ndarray:

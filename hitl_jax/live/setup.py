@@ -48,10 +48,10 @@ class SessionSetup(NamedTuple):
             ValueError: one line, if the networks are not this team's.
         """
         train = agents.init(self.agent, key)
-        return train if self.start is None else _started(train, self.start)
+        return train if self.start is None else _started(self.agent, train, self.start)
 
 
-def _started(train: TrainState, start: dict[str, Params]) -> TrainState:
+def _started(agent: Agent, train: TrainState, start: dict[str, Params]) -> TrainState:
     """A training state with networks that were learned before, and fresh optimisers."""
     learner, networks = train.learner, train.boundary
     mine = {
@@ -63,13 +63,7 @@ def _started(train: TrainState, start: dict[str, Params]) -> TrainState:
     for name, tree in mine.items():
         if jax.tree.map(np.shape, tree) != jax.tree.map(np.shape, start.get(name)):
             raise ValueError(f"its {name} has other layers than this team's")
-    learner = dataclasses.replace(
-        learner,
-        actor=start["actor"],
-        target_actor=start["actor"],
-        critic=start["critic"],
-        target_critic=start["critic"],
-    )
+    learner = agent.learner.with_networks(learner, start["actor"], start["critic"])
     networks = dataclasses.replace(
         networks, actor=start["boundary_actor"], critic=start["boundary_critic"]
     )

@@ -1,6 +1,7 @@
 """One run of the human-machine team: what it does at a step, to be vmapped by the caller."""
 
 import dataclasses
+from typing import NamedTuple
 
 import chex
 import jax
@@ -8,13 +9,14 @@ import jax.numpy as jnp
 from flax import struct
 
 from hitl_jax import boundary
+from hitl_jax.arbiter import Ruling, Situation, Takeover
 from hitl_jax.config import RunHyper, as_float32, traced
 from hitl_jax.human import actions, caller_state
-from hitl_jax.team import arbiter
 from hitl_jax.team.agent import Agent
+from hitl_jax.team.warmup import acts_at_random
 from hitl_jax.types import Behavior, Params
 
-_HUMAN, _SOURCE = "the human", "the human's actions"
+_HUMAN, _SOURCE, _INTERVENTION = "the human", "the human's actions", "the intervention"
 
 
 @struct.dataclass
@@ -29,7 +31,7 @@ class ActingState:
         boundary: the boundary source's carry, [] or [K].
         human: the human's state.
         source: the state of the human's actions.
-        arbiter: the arbiter's state.
+        arbiter: the intervention's state.
     """
 
     key: chex.PRNGKey
@@ -39,7 +41,7 @@ class ActingState:
     boundary: chex.Array
     human: chex.ArrayTree
     source: chex.ArrayTree
-    arbiter: arbiter.ArbiterState
+    arbiter: chex.ArrayTree
 
 
 @struct.dataclass
@@ -79,17 +81,16 @@ def init_acting(agent: Agent, hyper: RunHyper, key: chex.PRNGKey) -> ActingState
         hyper: the run's hyperparameters, scalars.
         key: consumed, [].
     """
-    source = boundary.get_source(agent.config.boundary_source)
     initial = jnp.asarray(hyper.initial_boundary, jnp.float32)
     return ActingState(
         key=key,
         steps=jnp.zeros((), jnp.int32),
         episodes=jnp.zeros((), jnp.int32),
         noise=jnp.zeros((agent.config.action_size,), jnp.float32),
-        boundary=source.init(initial),
+        boundary=agent.boundary_source.init(initial),
         human=caller_state.begun(_HUMAN, agent.human.init()),
         source=caller_state.begun(_SOURCE, agent.source.init()),
-        arbiter=arbiter.init(),
+        arbiter=caller_state.begun(_INTERVENTION, agent.intervention.init()),
     )
 
 
@@ -101,7 +102,7 @@ def begin_episode(agent: Agent, state: ActingState) -> ActingState:
         noise=jnp.zeros_like(state.noise),
         human=caller_state.kept(_HUMAN, agent.human.begin_episode(state.human), state.human),
         source=caller_state.kept(_SOURCE, agent.source.begin_episode(state.source), state.source),
-        arbiter=arbiter.init(),
+        arbiter=caller_state.begun(_INTERVENTION, agent.intervention.init()),
     )
 
 
@@ -125,42 +126,20 @@ def act(
         The next acting state and the decision.
     """
     chex.assert_shape(observation, (agent.config.observation_size,))
-    hyper, observation = traced(hyper), as_float32(observation)
+    hyper, observation = traced(agent.with_extra(hyper)), as_float32(observation)
     key, noise_key, warmup_key, boundary_key, human_key, source_key = jax.random.split(state.key, 6)
 
     noise, machine_action = _explore(agent, hyper, params.actor, state, observation, noise_key)
     random_action = jax.random.uniform(warmup_key, machine_action.shape, jnp.float32, -1.0, 1.0)
-    machine_action = jnp.where(state.steps < hyper.warmup_steps, random_action, machine_action)
+    machine_action = jnp.where(acts_at_random(hyper, state.steps), random_action, machine_action)
 
     boundary_now = _boundary(agent, hyper, params.boundary_actor, state, observation, boundary_key)
     human_state, dangerous = agent.human.judge(
         state.human, hyper.human, observation, jnp.zeros((), bool), human_key
     )
-    dangerous = jnp.asarray(dangerous, bool)
-    indicator = as_float32(agent.indicator(observation))
-    alarmed = boundary.alarm(indicator, boundary_now) & (hyper.has_arbiter > 0)
-    after = following(hyper, boundary_now, alarmed, dangerous)
-
-    objects = jnp.logical_and(dangerous, hyper.human_present > 0)
-    keeps = objects
-    if agent.config.release == "hysteresis":
-        keeps = boundary.alarm(indicator, hyper.release_share * boundary_now)
-    arbiter_state, ruling = arbiter.rule(
-        state.arbiter, agent.config.intervention, alarmed, objects, keeps, hyper.takeover_steps
-    )
-    move = boundary.Move(
-        boundary=boundary_now,
-        following=after,
-        alarmed=alarmed,
-        control=ruling.control,
-        step=hyper.delta_plus,
-        target_rate=hyper.target_rate,
-        low=hyper.boundary_low,
-        high=hyper.boundary_high,
-    )
-    source = boundary.get_source(agent.config.boundary_source)
-    learns = hyper.learns_boundary > 0
-    carry = jnp.where(learns, source.advance(state.boundary, move), state.boundary)
+    judged = _judge(agent, hyper, observation, boundary_now, jnp.asarray(dangerous, bool))
+    arbiter_state, ruling = _rule(agent, hyper, state, judged)
+    carry = _advance(agent, hyper, state, judged, ruling)
 
     hands = actions.with_noise(agent.source, hyper.human_action_noise)
     source_state, human_action = hands.act(state.source, observation, source_key)
@@ -171,27 +150,102 @@ def act(
         began=ruling.began,
         human_action=ruling.human_action,
         human_reset=ruling.human_reset,
-        alarmed=alarmed,
-        dangerous=dangerous,
+        alarmed=judged.alarmed,
+        dangerous=judged.dangerous,
         boundary=boundary_now,
-        next_boundary=after,
-        boundary_reward=boundary.boundary_reward(alarmed, dangerous, hyper.alarm_reward),
+        next_boundary=judged.following,
+        boundary_reward=boundary.boundary_reward(
+            judged.alarmed, judged.dangerous, hyper.alarm_reward
+        ),
     )
+    after = agent.human.notify(human_state, hyper.human, ruling.began, ruling.control)
     state = ActingState(
         key=key,
         steps=state.steps + 1,
         episodes=state.episodes,
         noise=noise,
         boundary=carry,
-        human=caller_state.kept(
-            _HUMAN,
-            agent.human.notify(human_state, hyper.human, ruling.began, ruling.control),
-            state.human,
-        ),
+        human=caller_state.kept(_HUMAN, after, state.human),
         source=caller_state.kept(_SOURCE, source_state, state.source),
         arbiter=arbiter_state,
     )
     return state, decision
+
+
+class _Judged(NamedTuple):
+    """Line 7 and 8 at one step.
+
+    Attributes:
+        boundary: τ_t, [].
+        indicator: c_t, [].
+        alarmed: C, bool [].
+        dangerous: h_t = 0, bool [].
+        following: τ_{t+1} of line 8, [].
+    """
+
+    boundary: chex.Array
+    indicator: chex.Array
+    alarmed: chex.Array
+    dangerous: chex.Array
+    following: chex.Array
+
+
+def _judge(
+    agent: Agent,
+    hyper: RunHyper,
+    observation: chex.Array,
+    boundary_now: chex.Array,
+    dangerous: chex.Array,
+) -> _Judged:
+    """The alarm, and where line 8 moves the boundary."""
+    indicator = as_float32(agent.indicator(observation))
+    alarmed = boundary.alarm(indicator, boundary_now) & (hyper.has_arbiter > 0)
+    after = following(hyper, boundary_now, alarmed, dangerous)
+    return _Judged(boundary_now, indicator, alarmed, dangerous, after)
+
+
+def _rule(
+    agent: Agent, hyper: RunHyper, state: ActingState, judged: _Judged
+) -> tuple[chex.ArrayTree, Ruling]:
+    """The intervention's next state, and what it rules."""
+    objects = jnp.logical_and(judged.dangerous, hyper.human_present > 0)
+    keeps = agent.release(
+        Takeover(
+            dangerous=objects,
+            indicator=judged.indicator,
+            boundary=judged.boundary,
+            release_share=hyper.release_share,
+            extra=hyper.extra,
+        )
+    )
+    situation = Situation(
+        alarmed=judged.alarmed,
+        dangerous=objects,
+        keeps=jnp.asarray(keeps, bool),
+        takeover_steps=hyper.takeover_steps,
+        extra=hyper.extra,
+    )
+    after, ruling = agent.intervention.rule(state.arbiter, situation)
+    return caller_state.kept(_INTERVENTION, after, state.arbiter), ruling
+
+
+def _advance(
+    agent: Agent, hyper: RunHyper, state: ActingState, judged: _Judged, ruling: Ruling
+) -> chex.Array:
+    """The boundary source's next carry; it stays where the boundary is fixed."""
+    move = boundary.Move(
+        boundary=judged.boundary,
+        following=judged.following,
+        alarmed=judged.alarmed,
+        control=ruling.control,
+        step=hyper.delta_plus,
+        target_rate=hyper.target_rate,
+        low=hyper.boundary_low,
+        high=hyper.boundary_high,
+        extra=hyper.extra,
+    )
+    learns = hyper.learns_boundary > 0
+    return jnp.where(learns, agent.boundary_source.advance(state.boundary, move), state.boundary)
 
 
 def following(
@@ -220,14 +274,14 @@ def _explore(
     observation: chex.Array,
     key: chex.PRNGKey,
 ) -> tuple[chex.Array, chex.Array]:
-    """The next noise [A] and μ(s_t) plus that noise, [A]."""
+    """The next noise, and the learner's action with it, [A] each."""
     rho = hyper.noise_correlation
     fresh = jax.random.normal(key, state.noise.shape, jnp.float32)
     noise = rho * state.noise + jnp.sqrt(1.0 - rho**2) * fresh
     every = hyper.noise_free_every
     noise_free = (every > 0) & (state.episodes % jnp.maximum(every, 1) == 0)
     scale = jnp.where(noise_free, 0.0, hyper.exploration_noise)
-    action = agent.actor.apply(actor, observation) + scale * noise
+    action = agent.learner.act(hyper, actor, observation, noise, scale)
     return noise, jnp.clip(action, -1.0, 1.0)
 
 
@@ -241,7 +295,7 @@ def _boundary(
 ) -> chex.Array:
     """τ_t (line 6): from the boundary source where it is learned, τ_0 where it is fixed."""
     noise = hyper.boundary_noise * jax.random.normal(key, (), jnp.float32)
-    network = agent.network_boundary(hyper, actor, observation) + noise
-    learned = boundary.get_source(agent.config.boundary_source).boundary(state.boundary, network)
+    network = agent.boundary_learner.boundary(hyper, actor, observation) + noise
+    learned = agent.boundary_source.boundary(state.boundary, network)
     learned = jnp.clip(learned, hyper.boundary_low, hyper.boundary_high)
     return jnp.where(hyper.learns_boundary > 0, learned, hyper.initial_boundary)

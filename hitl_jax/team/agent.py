@@ -1,99 +1,88 @@
 """One run of the human-machine team: its parts, init and update, to be vmapped by the caller."""
 
 import dataclasses
-import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import chex
 import jax
 import jax.numpy as jnp
-import optax
 
-from hitl_jax import boundary, human
-from hitl_jax.config import AgentConfig, RunHyper, as_float32, traced
+from hitl_jax import human
+from hitl_jax.arbiter import INTERVENTIONS, RELEASES, Intervention
+from hitl_jax.arbiter.releases import Release
+from hitl_jax.boundary import SOURCES, BoundaryLearner, BoundarySource
+from hitl_jax.choices.options import Option, completed, options_of, require_within
+from hitl_jax.config import AgentConfig, Hyper, RunHyper, as_float32, traced, validate_hyper
+from hitl_jax.errors import InvalidValue
 from hitl_jax.human import actions
-from hitl_jax.human.indicator import Indicator, get_indicator
-from hitl_jax.learner import losses, networks, replay
+from hitl_jax.human.indicator import INDICATORS, Indicator
+from hitl_jax.learner import losses, replay
+from hitl_jax.learner.algorithms import LEARNERS
 from hitl_jax.learner.frame import Layout
+from hitl_jax.learner.task_learner import TaskLearner
 from hitl_jax.types import (
     Behavior,
     BoundaryState,
     BoundaryTransition,
-    LearnerState,
-    Params,
     TrainState,
     Transition,
 )
 
-_adam = optax.scale_by_adam()
-_MEAN_DECAY, _SQUARE_DECAY, _EPSILON = 0.9, 0.999, 1e-8
-
 
 class Agent(NamedTuple):
-    """The parts of the team, each a choice of one interface.
+    """The parts of the team, each a choice of one interface; `make_agent` puts them together.
 
     Attributes:
         config: static choices.
         indicator: c_t of an observation.
         human: the judgement h_t.
         source: the human's actions a^h.
+        learner: the task learner.
+        boundary_source: where τ_t comes from.
+        intervention: what an intervention does.
+        release: what ends a takeover.
     """
 
     config: AgentConfig
     indicator: Indicator
     human: human.HumanPart
     source: actions.ActionSource
+    learner: TaskLearner
+    boundary_source: BoundarySource
+    intervention: Intervention
+    release: Release
 
     @property
-    def actor(self) -> networks.Actor:
-        """μ."""
-        config = self.config
-        return networks.Actor(
-            config.hidden_sizes, config.action_size, matmul_precision=config.matmul_precision
-        )
-
-    @property
-    def critic(self) -> networks.Critics:
-        """Q."""
-        return self._critics(self.config.task_learner.num_critics)
-
-    @property
-    def first_critic(self) -> networks.Critics:
-        """Q_1, the critic that the actor follows."""
-        return self._critics(1)
-
-    def _critics(self, num_critics: int) -> networks.Critics:
-        config = self.config
-        return networks.Critics(
-            config.hidden_sizes,
-            num_critics,
-            config.layer_norm,
-            config.task_learner.num_quantiles,
-            matmul_precision=config.matmul_precision,
-        )
-
-    @property
-    def boundary_actor(self) -> networks.BoundaryActor:
-        """π_θ."""
-        return networks.BoundaryActor(self.config.boundary_hidden_sizes)
-
-    @property
-    def boundary_critic(self) -> networks.BoundaryCritic:
-        """Q_ω."""
-        return networks.BoundaryCritic(self.config.boundary_hidden_sizes)
-
-    def network_boundary(
-        self, hyper: RunHyper, params: Params, observation: chex.Array
-    ) -> chex.Array:
-        """π_θ(s) within the run's bounds, [...], for observations [..., O]."""
-        return self.boundary_actor.apply(
-            params, observation, hyper.initial_boundary, hyper.boundary_low, hyper.boundary_high
-        )
+    def boundary_learner(self) -> BoundaryLearner:
+        """π_θ and Q_ω."""
+        return BoundaryLearner(self.config.observation_size, self.config.boundary_hidden_sizes)
 
     @property
     def layout(self) -> Layout:
         """Columns of a frame in replay."""
         return Layout(self.config.observation_size, self.config.action_size)
+
+    @property
+    def options(self) -> dict[str, Option]:
+        """What `Hyper.extra` can hold for this team, by name."""
+        return options_of(
+            (self.learner, self.boundary_source, self.intervention, self.release, self.indicator)
+        )
+
+    def with_extra(self, hyper: Any) -> Any:
+        """Hyperparameters with the defaults of what the choices' own options are not given.
+
+        Args:
+            hyper: `Hyper` or `RunHyper`, of numbers on the host or traced.
+
+        Raises:
+            InvalidValue: one line, for a number that is no option of this team's choices.
+        """
+        extra = completed(hyper.extra, self.options)
+        of_human = completed(hyper.human.extra, options_of([self.human]), "human.extra")
+        return dataclasses.replace(
+            hyper, extra=extra, human=dataclasses.replace(hyper.human, extra=of_human)
+        )
 
 
 def make_agent(
@@ -101,6 +90,11 @@ def make_agent(
     indicator: Indicator | None = None,
     judge: human.HumanPart | None = None,
     source: actions.ActionSource | None = None,
+    *,
+    learner: TaskLearner | None = None,
+    boundary_source: BoundarySource | None = None,
+    intervention: Intervention | None = None,
+    release: Release | None = None,
 ) -> Agent:
     """Puts a team together; what is not given is made from `config`.
 
@@ -109,13 +103,66 @@ def make_agent(
         indicator: a safety indicator of one's own, observation [O] to c_t [].
         judge: a human of one's own.
         source: human actions of one's own; the scripted walker by default.
+        learner: a task learner of one's own.
+        boundary_source: a boundary source of one's own.
+        intervention: an intervention of one's own.
+        release: an end of takeovers of one's own.
+
+    Raises:
+        InvalidValue: one line, for a choice that is none, or one that was made for observations of
+            another size.
     """
-    return Agent(
+    agent = Agent(
         config=config,
-        indicator=indicator or get_indicator(config.indicator),
-        human=judge or human.simulated_human(config.danger),
+        indicator=INDICATORS.make(indicator or config.indicator),
+        human=judge or human.simulated_human(config.danger, parts=config.human_parts),
         source=source or actions.scripted_walker(),
+        learner=LEARNERS.make(learner or config.learner, config),
+        boundary_source=SOURCES.make(boundary_source or config.boundary_source),
+        intervention=INTERVENTIONS.make(intervention or config.intervention),
+        release=RELEASES.make(release or config.release),
     )
+    _require_sizes(agent)
+    return agent
+
+
+def _require_sizes(agent: Agent) -> None:
+    """Refuses parts that were made for other observations or actions than the team's."""
+    config = agent.config
+    for part, given in (
+        ("indicator", agent.indicator),
+        ("judge", agent.human),
+        ("source", agent.source),
+    ):
+        for name in ("observation_size", "action_size"):
+            has = getattr(given, name, None)
+            if has not in (None, getattr(config, name)):
+                raise InvalidValue(
+                    name,
+                    getattr(config, name),
+                    f"must be {has} with this {part}, which was made for the walker; "
+                    f"give `make_agent` {'an' if part == 'indicator' else 'a'} {part} of your own",
+                )
+    seen = jax.ShapeDtypeStruct((config.observation_size,), jnp.float32)
+    told = jax.eval_shape(agent.indicator, seen)
+    if jax.tree.map(jnp.shape, told) != ():
+        raise InvalidValue("indicator", config.indicator, f"must give one number, gives {told}")
+
+
+def validate(agent: Agent, hyper: Hyper) -> None:
+    """Checks host values before any work starts, those of the choices' own options included.
+
+    Args:
+        agent: the team.
+        hyper: scalars, not yet on a device.
+
+    Raises:
+        InvalidValue: one line with the name, the value and what is allowed.
+    """
+    validate_hyper(hyper)
+    whole = agent.with_extra(hyper)
+    require_within(whole.extra, agent.options)
+    require_within(whole.human.extra, options_of([agent.human]), "human.extra")
 
 
 def init(agent: Agent, key: chex.PRNGKey) -> TrainState:
@@ -126,28 +173,9 @@ def init(agent: Agent, key: chex.PRNGKey) -> TrainState:
         key: consumed, [].
     """
     keys = jax.random.split(key, 5)
-    observation = jnp.zeros((1, agent.config.observation_size), jnp.float32)
-    action = jnp.zeros((1, agent.config.action_size), jnp.float32)
-    scalar = jnp.zeros((1,), jnp.float32)
-    actor = agent.actor.init(keys[0], observation)
-    critic = agent.critic.init(keys[1], observation, action)
-    boundary_actor = agent.boundary_actor.init(keys[2], observation, scalar, scalar, scalar)
-    boundary_critic = agent.boundary_critic.init(keys[3], observation, scalar)
     return TrainState(
-        learner=LearnerState(
-            actor=actor,
-            critic=critic,
-            target_actor=actor,
-            target_critic=critic,
-            actor_optimizer=_adam.init(actor),
-            critic_optimizer=_adam.init(critic),
-        ),
-        boundary=BoundaryState(
-            actor=boundary_actor,
-            critic=boundary_critic,
-            actor_optimizer=_adam.init(boundary_actor),
-            critic_optimizer=_adam.init(boundary_critic),
-        ),
+        learner=agent.learner.init(keys[0], keys[1]),
+        boundary=agent.boundary_learner.init(keys[2], keys[3]),
         key=keys[4],
     )
 
@@ -163,73 +191,24 @@ def update(
     state: TrainState,
     batch: Transition,
     noise: chex.Array,
-    update_actor: bool = True,
+    last: bool = True,
 ) -> tuple[TrainState, losses.Metrics]:
-    """One update of the task learner: critics, and with `update_actor` actor and targets.
+    """One update of the task learner.
 
     Args:
         agent: the team.
         hyper: the run's hyperparameters, scalars.
         state: the run's training state.
         batch: minibatch, leading axis B.
-        noise: standard normal ε of the target smoothing, [B, A]; DDPG does not look at it.
-        update_actor: static; True at one update in `policy_delay`.
+        noise: standard normal, [B, `agent.learner.noise_size`].
+        last: static; True at one update in `policy_delay`, which improves the actor as well.
 
     Returns:
         The next state and metrics, each [].
     """
-    hyper, (batch, noise) = traced(hyper), as_float32((batch, noise))
-    target = _target(agent, hyper, state.learner, batch, noise)
-    return _improve(agent, hyper, state, batch, target, update_actor)
-
-
-def _target(
-    agent: Agent, hyper: RunHyper, learner: LearnerState, batch: Transition, noise: chex.Array
-) -> chex.ArrayTree:
-    """TD targets of a minibatch: what the learner's `target` gives, leaves [..., B]."""
-    rules = agent.config.task_learner
-    next_action = agent.actor.apply(learner.target_actor, batch.next_observation)
-    if rules.smooths_target:
-        next_action = losses.smoothed_action(
-            next_action, noise, hyper.target_noise, hyper.target_noise_clip
-        )
-    next_q = agent.critic.apply(learner.target_critic, batch.next_observation, next_action)
-    return rules.target(batch.reward, batch.discount, next_q)
-
-
-def _improve(
-    agent: Agent,
-    hyper: RunHyper,
-    state: TrainState,
-    batch: Transition,
-    target: chex.ArrayTree,
-    update_actor: bool,
-) -> tuple[TrainState, losses.Metrics]:
-    """`update` with the TD targets given."""
-    learner, rules = state.learner, agent.config.task_learner
-    grads, metrics = jax.grad(rules.critic_loss, has_aux=True)(
-        learner.critic, agent.critic.apply, batch, target
-    )
-    critic, critic_optimizer = _descend(
-        learner.critic, grads, learner.critic_optimizer, hyper.critic_learning_rate
-    )
-    learner = dataclasses.replace(learner, critic=critic, critic_optimizer=critic_optimizer)
-    if update_actor:
-        grads, actor_metrics = jax.grad(losses.actor_loss, has_aux=True)(
-            learner.actor, agent.actor.apply, agent.first_critic.apply, critic, batch.observation
-        )
-        actor, actor_optimizer = _descend(
-            learner.actor, grads, learner.actor_optimizer, hyper.actor_learning_rate
-        )
-        step = hyper.target_step_size
-        learner = dataclasses.replace(
-            learner,
-            actor=actor,
-            actor_optimizer=actor_optimizer,
-            target_actor=optax.incremental_update(actor, learner.target_actor, step),
-            target_critic=optax.incremental_update(critic, learner.target_critic, step),
-        )
-        metrics = metrics | actor_metrics
+    hyper, (batch, noise) = traced(agent.with_extra(hyper)), as_float32((batch, noise))
+    target = agent.learner.targets(hyper, state.learner, batch, noise)
+    learner, metrics = agent.learner.improve(hyper, state.learner, batch, target, noise, last)
     return dataclasses.replace(state, learner=learner), metrics
 
 
@@ -247,31 +226,9 @@ def update_boundary(
     Returns:
         The next state and metrics, each [].
     """
-    hyper, batch = traced(hyper), as_float32(batch)
-    current = state.boundary
-    grads, metrics = jax.grad(boundary.boundary_critic_loss, has_aux=True)(
-        current.critic, agent.boundary_critic.apply, batch
-    )
-    critic, critic_optimizer = _descend(
-        current.critic, grads, current.critic_optimizer, hyper.boundary_critic_learning_rate
-    )
-    grads, actor_metrics = jax.grad(boundary.boundary_actor_loss, has_aux=True)(
-        current.actor,
-        functools.partial(agent.network_boundary, hyper),
-        agent.boundary_critic.apply,
-        critic,
-        batch.observation,
-    )
-    actor, actor_optimizer = _descend(
-        current.actor, grads, current.actor_optimizer, hyper.boundary_actor_learning_rate
-    )
-    after = BoundaryState(
-        actor=actor,
-        critic=critic,
-        actor_optimizer=actor_optimizer,
-        critic_optimizer=critic_optimizer,
-    )
-    return dataclasses.replace(state, boundary=after), metrics | actor_metrics
+    hyper, batch = traced(agent.with_extra(hyper)), as_float32(batch)
+    learned, metrics = agent.boundary_learner.improve(hyper, state.boundary, batch)
+    return dataclasses.replace(state, boundary=learned), metrics
 
 
 def learn(
@@ -300,42 +257,17 @@ def learn(
     Raises:
         ValueError: at trace time, if `num_updates` is no multiple of the policy delay.
     """
-    hyper, config = traced(hyper), agent.config
-    delay = config.task_learner.policy_delay
+    hyper, delay = traced(agent.with_extra(hyper)), agent.learner.policy_delay
     if num_updates % delay:
         raise ValueError(f"{num_updates} updates are no multiple of the policy delay {delay}")
-
     key, sample_key, noise_key, boundary_key = jax.random.split(state.key, 4)
-    # Everything random is drawn at once: a generator is many small kernels, whatever it draws. Rows
-    # are read in the loop: read at once, XLA would find their places anew for every number.
-    groups, rows = num_updates // delay, delay * config.batch_size
-    drawn = replay.draw(
-        memory, agent.layout, column, sample_key, groups * rows, config.n_step, hyper.gamma
-    )
-    drawn = jax.tree.map(lambda leaf: leaf.reshape(groups, rows), drawn)
-    # Long rows: XLA works along the last axis.
-    noise = jax.random.normal(noise_key, (groups, rows * config.action_size), jnp.float32)
-
-    def several(
-        state: TrainState, given: tuple[replay.Draw, chex.Array]
-    ) -> tuple[TrainState, None]:
-        draw, smoothing = given
-        batch = replay.read(memory, agent.layout, column, draw)
-        # Target networks move only when the actor does: the updates until then share their targets.
-        targets = _target(agent, hyper, state.learner, batch, smoothing.reshape(rows, -1))
-        for index in range(delay):
-            part = slice(index * config.batch_size, (index + 1) * config.batch_size)
-            one = jax.tree.map(lambda leaf, part=part: leaf[part], batch)
-            target = jax.tree.map(lambda leaf, part=part: leaf[..., part], targets)
-            state, _metrics = _improve(agent, hyper, state, one, target, index == delay - 1)
-        return state, None
-
-    state, _ = jax.lax.scan(several, dataclasses.replace(state, key=key), (drawn, noise))
+    state = dataclasses.replace(state, key=key)
+    keys = sample_key, noise_key
+    state = _learn_task(agent, hyper, state, memory, column, num_updates // delay, keys)
 
     def learn_boundary(state: TrainState) -> BoundaryState:
-        pool = replay.sample_boundary(
-            memory, agent.layout, column, boundary_key, config.boundary_batch_size, hyper.gamma
-        )
+        size = agent.config.boundary_batch_size
+        pool = replay.sample_boundary(memory, agent.layout, column, boundary_key, size, hyper.gamma)
         return update_boundary(agent, hyper, state, pool)[0].boundary
 
     # Where runs are taken one by one, the methods that learn no boundary do not pay for it.
@@ -345,28 +277,40 @@ def learn(
     return dataclasses.replace(state, boundary=learned)
 
 
-def _descend(
-    params: Params, grads: Params, optimizer: optax.OptState, learning_rate: chex.Array
-) -> tuple[Params, optax.OptState]:
-    """One Adam step with a traced learning rate (https://arxiv.org/abs/1412.6980).
-
-    Optax's, but for powers of the decays: it takes those in the widest type that JAX may use.
-    """
-    count = optax.safe_increment(optimizer.count)
-
-    def moment(decay: float, before: Params, seen: Params) -> Params:
-        return jax.tree.map(lambda old, new: (1.0 - decay) * new + decay * old, before, seen)
-
-    def corrected(decay: float, moments: Params) -> Params:
-        scale = 1.0 - jnp.float32(decay) ** count
-        return jax.tree.map(lambda leaf: leaf / scale, moments)
-
-    mean = moment(_MEAN_DECAY, optimizer.mu, grads)
-    square = moment(_SQUARE_DECAY, optimizer.nu, jax.tree.map(jnp.square, grads))
-    direction = jax.tree.map(
-        lambda m, v: m / (jnp.sqrt(v) + _EPSILON),
-        corrected(_MEAN_DECAY, mean),
-        corrected(_SQUARE_DECAY, square),
+def _learn_task(
+    agent: Agent,
+    hyper: RunHyper,
+    state: TrainState,
+    memory: replay.Replay,
+    column: chex.Array,
+    groups: int,
+    keys: tuple[chex.PRNGKey, chex.PRNGKey],
+) -> TrainState:
+    """`groups` times `policy_delay` updates of the task learner; both keys are consumed."""
+    config, learner = agent.config, agent.learner
+    rows = learner.policy_delay * config.batch_size
+    sample_key, noise_key = keys
+    # Everything random is drawn at once: a generator is many small kernels, whatever it draws. Rows
+    # are read in the loop: read at once, XLA would find their places anew for every number.
+    drawn = replay.draw(
+        memory, agent.layout, column, sample_key, groups * rows, config.n_step, hyper.gamma
     )
-    step = jax.tree.map(lambda leaf: -learning_rate * leaf, direction)
-    return optax.apply_updates(params, step), optimizer._replace(count=count, mu=mean, nu=square)
+    drawn = jax.tree.map(lambda leaf: leaf.reshape(groups, rows), drawn)
+    # Long rows: XLA works along the last axis.
+    noise = jax.random.normal(noise_key, (groups, rows * learner.noise_size), jnp.float32)
+
+    def group(state: TrainState, given: tuple[replay.Draw, chex.Array]) -> tuple[TrainState, None]:
+        draw, normal = given
+        batch = replay.read(memory, agent.layout, column, draw)
+        normal, after = normal.reshape(rows, learner.noise_size), state.learner
+        # Targets move only at the last of these updates, which therefore share them.
+        targets = learner.targets(hyper, after, batch, normal)
+        for index in range(learner.policy_delay):
+            part = slice(index * config.batch_size, (index + 1) * config.batch_size)
+            one = jax.tree.map(lambda leaf, part=part: leaf[part], batch)
+            target = jax.tree.map(lambda leaf, part=part: leaf[..., part], targets)
+            last = index == learner.policy_delay - 1
+            after, _metrics = learner.improve(hyper, after, one, target, normal[part], last)
+        return dataclasses.replace(state, learner=after), None
+
+    return jax.lax.scan(group, state, (drawn, noise))[0]

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from flax import traverse_util
 
-from hitl_jax.boundary import get_source
 from hitl_jax.errors import InvalidValue
 from hitl_jax.results.atomic_files import read_bytes
 from hitl_jax.results.npz_archives import from_npz
@@ -79,7 +78,7 @@ def _unflatten(arrays: Mapping[str, np.ndarray]) -> dict[str, Params]:
 def _forms(agent: Agent) -> dict[str, tuple[int, ...]]:
     """The shapes of what `flatten` gives for a run of this team, by flat name."""
     train = jax.eval_shape(lambda: agents.init(agent, jax.random.key(0)))
-    source = get_source(agent.config.boundary_source)
+    source = agent.boundary_source
     carry = jax.eval_shape(lambda: source.init(jnp.zeros((), jnp.float32)))
     flat = traverse_util.flatten_dict(_networks(train), sep="/")
     return {name: leaf.shape for name, leaf in flat.items()} | {"boundary": carry.shape}

@@ -25,9 +25,6 @@ from hitl_jax.xla import full_registers
 from hitl_jax.xla.pytree_words import pack, unpack
 from hitl_jax.xla.threefry import make_key
 
-SOME_HYPER = typed(RunHyper())
-"""Hyperparameters of the types that every run's have."""
-
 
 class LearnerBatch(NamedTuple):
     """Everything on a learning device.
@@ -106,7 +103,7 @@ def empty_learner(agent: Agent, num_runs: int, capacity: int, device: jax.Device
         some = jax.eval_shape(pack, some_train(agent))
         return LearnerBatch(
             train=jnp.zeros((num_runs, *some.shape), some.dtype),
-            hyper=_copies(pack(SOME_HYPER), num_runs),
+            hyper=_copies(pack(some_hyper(agent)), num_runs),
             memory=replay.init(capacity, num_runs, agent.layout),
         )
 
@@ -125,7 +122,7 @@ def empty_acting(agent: Agent, num_runs: int, device: jax.Device) -> ActingBatch
     def make() -> ActingBatch:
         return ActingBatch(
             state=_copies(pack(some_acting(agent)), full_registers.full(num_runs)),
-            hyper=_copies(pack(SOME_HYPER), full_registers.full(num_runs)),
+            hyper=_copies(pack(some_hyper(agent)), full_registers.full(num_runs)),
         )
 
     return jax.jit(make, out_shardings=SingleDeviceSharding(device))()
@@ -133,7 +130,13 @@ def empty_acting(agent: Agent, num_runs: int, device: jax.Device) -> ActingBatch
 
 def some_acting(agent: Agent) -> ActingState:
     """An acting state of the types and shapes that every run's has."""
-    return init_acting(agent, SOME_HYPER, make_key(0))
+    return init_acting(agent, some_hyper(agent), make_key(0))
+
+
+def some_hyper(agent: Agent) -> RunHyper:
+    """Hyperparameters of the types that every run's have."""
+    hyper: RunHyper = typed(agent.with_extra(RunHyper()))
+    return hyper
 
 
 def some_train(agent: Agent) -> TrainState:

@@ -24,12 +24,12 @@ from hitl_jax.team.acting import init_acting
 from hitl_jax.team.agent import Agent
 from hitl_jax.team.packed_decision import act_or_begin
 from hitl_jax.training.batch_arrays import (
-    SOME_HYPER,
     ActingBatch,
     LearnerBatch,
     PackedBehavior,
     pack_behavior,
     some_acting,
+    some_hyper,
     some_train,
     unpack_behavior,
 )
@@ -196,6 +196,6 @@ def act_packed(
     live: chex.Array,
 ) -> tuple[chex.Array, chex.Array]:
     """`act_or_begin` of one run with acting state, [S], and hyperparameters, [H], packed."""
-    before, settings = unpack(some_acting(agent), state), unpack(SOME_HYPER, hyper)
+    before, settings = unpack(some_acting(agent), state), unpack(some_hyper(agent), hyper)
     after, packed = act_or_begin(agent, settings, params, before, observation, live)
     return pack(after), packed

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from hitl_jax.learner import replay
 from hitl_jax.team import agent as agents
 from hitl_jax.team.agent import Agent
-from hitl_jax.training.batch_arrays import SOME_HYPER, PackedBehavior, pack_behavior, some_train
+from hitl_jax.training.batch_arrays import PackedBehavior, pack_behavior, some_hyper, some_train
 from hitl_jax.types import TrainState
 from hitl_jax.xla.pytree_words import from_pieces, pack, piece_sizes, to_pieces, unpack
 
@@ -37,7 +37,7 @@ def learn_all(
     like = some_train(agent)
 
     def learn(words: chex.Array, state: TrainState, column: chex.Array) -> TrainState:
-        settings = unpack(SOME_HYPER, words)
+        settings = unpack(some_hyper(agent), words)
         return agents.learn(agent, settings, state, memory, column, num_updates)
 
     def learn_one(index: chex.Array, train: chex.Array) -> chex.Array:

@@ -38,7 +38,7 @@ class LearnerQueue:
             cursor: frames that each ring counts as written.
         """
         devices = learning_devices()
-        self.num_updates = config.num_updates(agent.config.task_learner.policy_delay)
+        self.num_updates = config.num_updates(agent.learner.policy_delay)
         self.programs = compiled_batch.make_programs(agent, self.num_updates, default_tile(slots))
         self._layout, self._frames = agent.layout, config.frames
         self._share = slots // len(devices)

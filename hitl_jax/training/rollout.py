@@ -25,6 +25,7 @@ from hitl_jax.envs import WalkerPool
 from hitl_jax.results import recorded_episodes
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.team.agent import Agent, behavior
+from hitl_jax.team.warmup import may_learn
 from hitl_jax.training import batch_arrays
 from hitl_jax.training.compiled_batch import Programs
 from hitl_jax.training.host_stage import HostStage
@@ -253,7 +254,7 @@ class Rollout:
     def _begin_run(self, slot: int, spec: RunSpec) -> Run:
         """Gives a slot to a run at its beginning."""
         learning, acting, _ = batch_arrays.run_keys(spec.seed, method_index(spec.method))
-        hyper = typed(spec.hyper)
+        hyper = typed(self._agent.with_extra(spec.hyper))
         self._learner.begin(slot, hyper, learning)
         self._stage.begin_run(slot, hyper, acting)
         self._unsaved[slot] = 0
@@ -304,8 +305,7 @@ class Rollout:
         slots = []
         for run in self.runs():
             n_step, hyper = self._agent.config.n_step, run.spec.hyper
-            warm = self._config.warmup_ticks(hyper.warmup_steps, n_step)
-            if not run.done and run.ticks >= warm:
+            if not run.done and may_learn(hyper, run.ticks, self._config.chunk, n_step):
                 slots.append(run.slot)
                 run.updates += self._learner.num_updates
         self._learner.learn(frames, slots)

@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitl_jax.choices.checks import MOST_SEED, one_of, require, require_whole
+from hitl_jax.choices.checks import MOST_SEED, one_of, require_whole
+from hitl_jax.choices.fields import number, require_fields, whole
 from hitl_jax.config import Method, RunHyper, validate_hyper
 from hitl_jax.errors import InvalidValue
-from hitl_jax.human.judgement import UNLIMITED
+from hitl_jax.human import UNLIMITED
 from hitl_jax.results.episode_measures import Row, fall_at_once
 from hitl_jax.results.recorded_episodes import Recording
 from hitl_jax.results.run_key import RunKey
@@ -33,15 +34,14 @@ class LoopConfig:
         updates_per_step: updates of the task learner per tick.
     """
 
-    capacity: int = 200_000
-    chunk: int = 16
-    updates_per_step: float = 0.5
+    capacity: int = whole(200_000, 2, _MOST_FRAMES)
+    chunk: int = whole(16, 1, _MOST_FRAMES // 2)
+    updates_per_step: float = number(0.5, 0.0, _MOST_UPDATES)
 
     def __post_init__(self) -> None:
         """Checks every number; InvalidValue names it, its value and what is allowed."""
-        require_whole("chunk", self.chunk, at_least=1, at_most=_MOST_FRAMES // 2)
-        require_whole("capacity", self.capacity, at_least=2 * self.chunk, at_most=_MOST_FRAMES)
-        require("updates_per_step", self.updates_per_step, 0.0, _MOST_UPDATES)
+        require_fields(self)
+        require_whole("capacity", self.capacity, at_least=2 * self.chunk)
 
     @property
     def frames(self) -> int:

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import chex
 import numpy as np
 
+from hitl_jax.arbiter import shaped_reward
 from hitl_jax.config import AgentConfig, RunHyper
 from hitl_jax.envs import StepBatch
 from hitl_jax.learner.frame import Layout, flag_of, flags_of
 from hitl_jax.results.episode_measures import Episode
 from hitl_jax.results.recorded_episodes import STEP_COLUMNS
-from hitl_jax.team import arbiter
 
 
 class StepEnd(NamedTuple):
@@ -135,7 +135,7 @@ def frames_of(
     ended = terminated | truncated | human_reset
     so_far, intervened = _intervened(control, ended, intervened)
     reward, schedule = frames[..., layout.reward], config.feedback_schedule
-    shaped = arbiter.shaped_reward(reward, control, feedback[:, None], schedule, ended, so_far)
+    shaped = shaped_reward(reward, control, feedback[:, None], schedule, ended, so_far)
     frames[..., layout.reward] = np.where(live, shaped, 0.0)
     frames[..., layout.terminated], frames[..., layout.truncated] = stored_ends(
         terminated, truncated, human_reset, config.human_reset_terminates
@@ -156,7 +156,7 @@ def episode_of(steps: np.ndarray, layout: Layout, config: AgentConfig, hyper: Ru
     reward, control = steps[:, layout.reward], flags.control
     ended = np.arange(len(steps)) == len(steps) - 1
     so_far = np.logical_or.accumulate(control)
-    shaped = arbiter.shaped_reward(
+    shaped = shaped_reward(
         reward, control, float(hyper.feedback), config.feedback_schedule, ended, so_far
     )
     known = hyper.has_arbiter > 0

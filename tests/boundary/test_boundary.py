@@ -63,7 +63,7 @@ def test_the_rule_settles_at_the_target_precision(precision, start):
     [("network", 0.0, 0.3, 0.0), ("residual", 0.0, 0.3, -0.1), ("rule", 0.7, 0.7, 0.6)],
 )
 def test_sources(name, first, tau, second):
-    source = boundary.get_source(name)
+    source = boundary.SOURCES.make(name)
     carry = source.init(jnp.array(0.7))
     np.testing.assert_allclose(carry, first, rtol=1e-6)
     now = source.boundary(carry, jnp.array(0.3))
@@ -80,7 +80,7 @@ def _move(now, **changes):
 
 def _settle(source, tau, moved_by, keys):
     """The share of alarms, |c| ≥ τ with c normal, over the last quarter of the steps."""
-    source = boundary.get_source(source)
+    source = boundary.SOURCES.make(source)
 
     def step(carry, key):
         now = jnp.clip(source.boundary(carry, jnp.zeros(())), 0.05, 3.0)
@@ -102,7 +102,7 @@ def test_a_target_rate_is_reached(source, moved_by, tau):
 
 @pytest.mark.parametrize("source", ["rule", "quantile", "pid"])
 def test_a_boundary_without_steps_stays(source):
-    source = boundary.get_source(source)
+    source = boundary.SOURCES.make(source)
     carry = source.advance(source.init(jnp.array(0.7)), _move(0.7))
     now = source.boundary(carry, jnp.array(0.3))
     assert now != 0.7
@@ -111,7 +111,7 @@ def test_a_boundary_without_steps_stays(source):
 
 
 def test_the_integral_does_not_wind_up():
-    source = boundary.get_source("pid")
+    source = boundary.SOURCES.make("pid")
     carry = source.init(jnp.array(0.7))
     for _ in range(500):
         carry = source.advance(carry, _move(0.7, step=0.1))
@@ -120,7 +120,7 @@ def test_the_integral_does_not_wind_up():
 
 def test_unknown_source():
     with pytest.raises(ValueError, match="network, residual, rule"):
-        boundary.get_source("oracle")
+        boundary.SOURCES.make("oracle")
 
 
 def _critic(params, observation, tau):

@@ -15,7 +15,7 @@ def test_the_named_indicators_in_physical_units():
     expected = {"hull_angle": -0.3, "hull_angular_velocity": 2.0, "weighted": -0.1}
     assert set(expected) == set(indicator.INDICATORS)
     for name, value in expected.items():
-        chosen = indicator.get_indicator(name)
+        chosen = indicator.INDICATORS.make(name)
         np.testing.assert_allclose(chosen(OBSERVATION), value, rtol=1e-6)
         np.testing.assert_allclose(jax.jit(chosen)(OBSERVATION), value, rtol=1e-6)
         batch = jax.vmap(chosen)(jnp.stack([OBSERVATION, 2 * OBSERVATION]))
@@ -49,13 +49,13 @@ def test_a_function_of_ones_own():
     def lowest_lidar(observation):
         return jnp.min(observation[14:])
 
-    assert indicator.get_indicator(lowest_lidar) is lowest_lidar
+    assert indicator.INDICATORS.make(lowest_lidar) is lowest_lidar
 
 
 @pytest.mark.parametrize("name", ["hull", "", None])
 def test_an_unknown_name_is_refused_in_one_line(name):
     with pytest.raises(ValueError, match=r"must be one of hull_angle, .*weighted") as caught:
-        indicator.get_indicator(name)
+        indicator.INDICATORS.make(name)
     assert "\n" not in str(caught.value)
 
 

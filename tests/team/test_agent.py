@@ -6,7 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from hitl_jax import human
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.human import actions as human_actions
 from hitl_jax.learner import replay
 from hitl_jax.team import acting
 from hitl_jax.team import agent as agents
@@ -26,7 +28,22 @@ def _probe_agent(learner, n_step=1, layer_norm=False, precision="float32"):
         observation_size=1,
         action_size=1,
     )
-    return agents.make_agent(config)
+    return agents.make_agent(config, indicator=_first, judge=_calm(), source=_idle(1))
+
+
+def _first(observation):
+    return observation[0]
+
+
+@functools.cache
+def _calm():
+    """A human who sees no danger, for any observation."""
+    return human.memoryless(lambda params, observation, dangerous, key: dangerous)
+
+
+@functools.cache
+def _idle(actions):
+    return human_actions.policy(lambda params, observation: jnp.zeros(actions), None)
 
 
 def _probe_hyper(**changes):
@@ -76,9 +93,9 @@ def test_learns_a_policy_of_known_value(learner, layer_norm, precision):
     # processor's rounding should decide.
     state = _train(agent, _probe_hyper(actor_learning_rate=3e-4), frames, 12_000)
     observation = jnp.linspace(-0.9, 0.9, 7)[:, None]
-    action = agent.actor.apply(state.learner.actor, observation)
+    action = agent.learner.actor.apply(state.learner.actor, observation)
     np.testing.assert_allclose(action, observation / 2, atol=0.1)
-    q = agent.critic.apply(state.learner.critic, observation, action)
+    q = agent.learner.critic.apply(state.learner.critic, observation, action)
     np.testing.assert_allclose(q, np.ones_like(q), atol=0.05)
 
 
@@ -107,8 +124,8 @@ def test_bootstraps_through_time_limits_and_not_through_ends(
     frames[0, 2::3, layout.final] = 1
     state = _train(agent, _probe_hyper(gamma=0.5), frames, 2000)
     action = jnp.zeros((1, 1))
-    first = agent.critic.apply(state.learner.critic, -jnp.ones((1, 1)), action)
-    second = agent.critic.apply(state.learner.critic, jnp.ones((1, 1)), action)
+    first = agent.learner.critic.apply(state.learner.critic, -jnp.ones((1, 1)), action)
+    second = agent.learner.critic.apply(state.learner.critic, jnp.ones((1, 1)), action)
     np.testing.assert_allclose(second, np.full_like(second, last), atol=0.08)
     np.testing.assert_allclose(first, np.full_like(first, 1 + last / 2), atol=0.08)
 
@@ -132,7 +149,7 @@ def test_bfloat16_changes_what_actor_and_critics_learn_and_not_how_the_actor_act
         new, old = getattr(one.learner, name), getattr(other.learner, name)
         difference = jax.tree.map(lambda a, b: float(jnp.abs(a - b).max()), new, old)
         assert 0 < max(jax.tree.leaves(difference)) < 1e-2, name
-    actions = [agent.actor.apply(before.learner.actor, jnp.ones(1)) for agent in (exact, rounded)]
+    actions = [agent.learner.actor.apply(before.learner.actor, jnp.ones(1)) for agent in (exact, rounded)]
     np.testing.assert_array_equal(*actions)
 
 
@@ -142,7 +159,8 @@ def test_learn_is_one_update_after_another(learner):
     config = AgentConfig(
         learner=learner, hidden_sizes=(32, 32), batch_size=64, observation_size=3, action_size=2
     )
-    agent, hyper = agents.make_agent(config), hyper_for(Method.HITL_AC, Hyper(target_step_size=0.5))
+    agent = agents.make_agent(config, indicator=_first, judge=_calm(), source=_idle(2))
+    hyper = hyper_for(Method.HITL_AC, Hyper(target_step_size=0.5))
     frames = np.zeros((1, 256, agent.layout.width), np.float32)
     before_flags = frames[:, :, : agent.layout.terminated]
     before_flags[:] = np.random.default_rng(0).normal(size=before_flags.shape)
@@ -284,7 +302,7 @@ def test_exploration_noise_has_its_scale_and_correlation():
     params = agents.behavior(agents.init(agent, jax.random.key(1)))
     observations = _walk([0.0] * 20_000)
     _, decision = _act_many(agent, hyper_for(Method.SRL, hyper), observations)
-    noise = np.asarray(decision.action - agent.actor.apply(params.actor, observations))
+    noise = np.asarray(decision.action - agent.learner.actor.apply(params.actor, observations))
     # Standard errors: 0.1 sqrt((1 + 0.8²) / (1 − 0.8²) / 2T) = 0.0011, and about 0.0042 for r.
     np.testing.assert_allclose(noise.std(axis=0), 0.1, atol=0.005)
     correlation = [np.corrcoef(n[:-1], n[1:])[0, 1] for n in noise.T]
@@ -296,7 +314,7 @@ def test_every_so_many_episodes_are_noise_free():
     hyper = hyper_for(Method.SRL, Hyper(noise_free_every=3, warmup_steps=0))
     params = agents.behavior(agents.init(agent, jax.random.key(1)))
     observation = _walk([0.0])[0]
-    greedy = agent.actor.apply(params.actor, observation)
+    greedy = agent.learner.actor.apply(params.actor, observation)
     state = acting.init_acting(agent, hyper, jax.random.key(0))
     noise_free = []
     for _ in range(7):

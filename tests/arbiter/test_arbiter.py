@@ -2,22 +2,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitl_jax.team import arbiter
+from hitl_jax import arbiter
 
 
 def _play(intervention, alarms, dangers, keeps=None, takeover_steps=3):
     """u_t, began, human_action and human_reset over a sequence."""
-    state = arbiter.init()
+    chosen = arbiter.INTERVENTIONS.make(intervention)
+    state = chosen.init()
     rulings = []
     for alarmed, dangerous, keep in zip(alarms, dangers, keeps or dangers, strict=True):
-        state, ruling = arbiter.rule(
-            state,
-            intervention,
-            jnp.array(alarmed, bool),
-            jnp.array(dangerous, bool),
-            jnp.array(keep, bool),
-            takeover_steps,
-        )
+        flags = (jnp.array(flag, bool) for flag in (alarmed, dangerous, keep))
+        state, ruling = chosen.rule(state, arbiter.Situation(*flags, takeover_steps, {}))
         rulings.append(ruling)
     fields = ("control", "began", "human_action", "human_reset")
     return {name: [int(getattr(ruling, name)) for ruling in rulings] for name in fields}

@@ -1,0 +1,63 @@
+"""The reward of equation (7), and when the human's feedback is given, by name."""
+
+from collections.abc import Callable
+from typing import Any
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hitl_jax.choices.registry import Registry
+
+Schedule = Callable[[chex.Array, chex.Array, chex.Array], chex.Array]
+"""Maps u_t, whether the step ended the episode, and whether u was 1 at any of its steps so far, to
+where r(s, a^h) is given: bool [...] each, of NumPy or JAX."""
+
+FEEDBACK_SCHEDULES: Registry[Schedule] = Registry(
+    "feedback schedule", "feedback_schedule", callable
+)
+
+
+@FEEDBACK_SCHEDULES.register("step", "at every step of an intervention")
+def every_step(control: chex.Array, ended: chex.Array, intervened: chex.Array) -> chex.Array:
+    """With every u_t = 1."""
+    del ended, intervened
+    return control
+
+
+@FEEDBACK_SCHEDULES.register("episode", "once, at the end of an episode with an intervention")
+def once_an_episode(control: chex.Array, ended: chex.Array, intervened: chex.Array) -> chex.Array:
+    """With the last reward of an episode in which the human intervened."""
+    del control
+    return ended & intervened
+
+
+def shaped_reward(
+    reward: chex.Array,
+    control: chex.Array,
+    feedback: chex.Array,
+    schedule: str,
+    ended: chex.Array,
+    intervened: chex.Array,
+) -> chex.Array:
+    """r(s, a, u) = r(s, a) + u · r(s, a^h), equation (7).
+
+    The feedback "can be given at each time step, or after each episode" (section III). Host (NumPy)
+    and device arrays both serve.
+
+    Args:
+        reward: r(s, a), [...].
+        control: u_t, bool [...].
+        feedback: r(s, a^h), negative for a punishment, [...].
+        schedule: a name in `FEEDBACK_SCHEDULES`, or `module:name`.
+        ended: whether this step ended the episode, bool [...].
+        intervened: whether u was 1 at any step of the episode so far, this one included, bool
+            [...].
+
+    Returns:
+        The reward that is learned from, [...].
+    """
+    given = FEEDBACK_SCHEDULES.make(schedule)(control, ended, intervened)
+    where: Any = jnp.where if isinstance(reward, jax.Array) else np.where
+    return reward + where(given, feedback, -0.0)  # To which -0 is added keeps its sign, if it is 0.

@@ -1,0 +1,93 @@
+"""The actor-critic that learns the boundary: lines 2 and 10 to 12 of Algorithm 1."""
+
+import dataclasses
+import functools
+from typing import Any
+
+import chex
+import jax
+import jax.numpy as jnp
+
+from hitl_jax.boundary.losses import boundary_actor_loss, boundary_critic_loss
+from hitl_jax.learner import adam, networks
+from hitl_jax.learner.losses import Metrics
+from hitl_jax.types import BoundaryState, BoundaryTransition, Params
+
+
+@dataclasses.dataclass(frozen=True)
+class BoundaryLearner:
+    """Learns π_θ and Q_ω: pure functions for one run, which the caller vmaps.
+
+    Attributes:
+        observation_size: O.
+        hidden_sizes: widths of the hidden layers of both networks.
+    """
+
+    observation_size: int
+    hidden_sizes: tuple[int, ...]
+
+    @property
+    def actor(self) -> networks.BoundaryActor:
+        """π_θ."""
+        return networks.BoundaryActor(self.hidden_sizes)
+
+    @property
+    def critic(self) -> networks.BoundaryCritic:
+        """Q_ω."""
+        return networks.BoundaryCritic(self.hidden_sizes)
+
+    def boundary(self, hyper: Any, actor: Params, observation: chex.Array) -> chex.Array:
+        """π_θ(s) within the run's bounds, [...], for observations [..., O]."""
+        return self.actor.apply(
+            actor, observation, hyper.initial_boundary, hyper.boundary_low, hyper.boundary_high
+        )
+
+    def init(self, actor_key: chex.PRNGKey, critic_key: chex.PRNGKey) -> BoundaryState:
+        """Random networks and fresh optimisers (line 2); both keys are consumed."""
+        observation = jnp.zeros((1, self.observation_size), jnp.float32)
+        scalar = jnp.zeros((1,), jnp.float32)
+        actor = self.actor.init(actor_key, observation, scalar, scalar, scalar)
+        critic = self.critic.init(critic_key, observation, scalar)
+        return BoundaryState(
+            actor=actor,
+            critic=critic,
+            actor_optimizer=adam.init(actor),
+            critic_optimizer=adam.init(critic),
+        )
+
+    def improve(
+        self, hyper: Any, state: BoundaryState, batch: BoundaryTransition
+    ) -> tuple[BoundaryState, Metrics]:
+        """One update of both networks (lines 10 to 12).
+
+        Args:
+            hyper: the run's hyperparameters, scalars.
+            state: before the update.
+            batch: minibatch of the pool D, leading axis N.
+
+        Returns:
+            The next state and metrics, each [].
+        """
+        grads, metrics = jax.grad(boundary_critic_loss, has_aux=True)(
+            state.critic, self.critic.apply, batch
+        )
+        critic, critic_optimizer = adam.descend(
+            state.critic, grads, state.critic_optimizer, hyper.boundary_critic_learning_rate
+        )
+        grads, actor_metrics = jax.grad(boundary_actor_loss, has_aux=True)(
+            state.actor,
+            functools.partial(self.boundary, hyper),
+            self.critic.apply,
+            critic,
+            batch.observation,
+        )
+        actor, actor_optimizer = adam.descend(
+            state.actor, grads, state.actor_optimizer, hyper.boundary_actor_learning_rate
+        )
+        after = BoundaryState(
+            actor=actor,
+            critic=critic,
+            actor_optimizer=actor_optimizer,
+            critic_optimizer=critic_optimizer,
+        )
+        return after, metrics | actor_metrics

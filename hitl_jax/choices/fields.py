@@ -1,0 +1,144 @@
+"""Fields of a configuration, each with its default, bounds and unit at one place.
+
+    @described
+    @dataclasses.dataclass(frozen=True)
+    class Config:
+        gamma: float = number(0.98, at_least=0.0, at_most=1.0)
+
+`require_fields` checks an instance field by field, so that none can be forgotten, and `described`
+appends units and choices to the docstring, from which `--help` is made.
+"""
+
+import dataclasses
+import inspect
+import re
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+from hitl_jax.choices.checks import GREATEST, MOST, one_of, require, require_whole
+from hitl_jax.choices.registry import Registry
+from hitl_jax.errors import InvalidValue
+
+T = TypeVar("T")
+
+Check = Callable[[str, Any], None]
+"""Maps the name of a field and its value to nothing; raises InvalidValue."""
+
+_CHECK, _SAID = "check", "said"
+
+
+def number(
+    default: float,
+    at_least: float = -GREATEST,
+    at_most: float = GREATEST,
+    *,
+    above: float | None = None,
+    unit: str = "",
+) -> Any:
+    """A field that holds a finite number.
+
+    Args:
+        default: its value where none is given.
+        at_least: least value.
+        at_most: greatest value.
+        above: a bound that the value must exceed.
+        unit: for example `rad`; nothing where it has none.
+    """
+
+    def check(name: str, value: Any) -> None:
+        require(name, value, at_least, at_most)
+        if above is not None and not value > above:
+            raise InvalidValue(name, value, f"must be a finite number above {above:g}")
+
+    return _field(default, check, _unit(unit))
+
+
+def whole(default: int, at_least: int = 0, at_most: int = MOST, unit: str = "") -> Any:
+    """A field that holds a whole number; see `number`."""
+    return _field(
+        default, lambda name, value: require_whole(name, value, at_least, at_most), _unit(unit)
+    )
+
+
+def choice(default: str, registry: Registry[Any]) -> Any:
+    """A field that names a choice: a registered one, or `module:name`."""
+    return _field(
+        default, lambda name, value: registry.check(value, name), lambda: f" {registry.help}."
+    )
+
+
+def choices(default: tuple[str, ...], registry: Registry[Any]) -> Any:
+    """A field that names several choices, each at most once."""
+
+    def check(name: str, value: Any) -> None:
+        for each in value:
+            registry.check(each, name)
+        if len(set(value)) < len(value):
+            raise InvalidValue(name, " ".join(value), "each at most once")
+
+    return _field(default, check, lambda: f" {registry.help}.")
+
+
+def among(default: str, allowed: Sequence[str]) -> Any:
+    """A field that holds one of some words."""
+    return _field(default, lambda name, value: one_of(name, value, tuple(allowed)))
+
+
+def flag(default: bool) -> Any:
+    """A field that is true or false."""
+    return _field(default, lambda name, value: None)
+
+
+def checked_by(default: Any, check: Check) -> Any:
+    """A field with a rule of its own."""
+    return _field(default, check)
+
+
+def nested(make: Callable[[], Any], check: Check) -> Any:
+    """A field that holds fields of its own, or numbers by name; `make` gives the default."""
+    return dataclasses.field(default_factory=make, metadata={_CHECK: check})
+
+
+def require_fields(instance: Any, prefix: str = "") -> None:
+    """Checks every field of a dataclass.
+
+    Args:
+        instance: of a dataclass, all of whose fields are made by the functions above.
+        prefix: before the fields' names, in messages.
+
+    Raises:
+        InvalidValue: one line with the name, the value and what is allowed.
+        TypeError: for a field that is not made by one of them.
+    """
+    for field in dataclasses.fields(instance):
+        if _CHECK not in field.metadata:
+            raise TypeError(f"{type(instance).__name__}.{field.name}: says no bounds")
+        field.metadata[_CHECK](prefix + field.name, getattr(instance, field.name))
+
+
+def described(kind: type[T]) -> type[T]:
+    """Appends units and choices of the fields to the docstring's lines on them.
+
+    Args:
+        kind: a dataclass with a docstring in Google's style.
+    """
+    kind.__doc__ = inspect.cleandoc(kind.__doc__ or "")  # As Python 3.13 does.
+    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+        said = field.metadata.get(_SAID)
+        if said is not None and (text := said()):
+            pattern = rf"(\n    {field.name}: (?:.*\n?)(?:        .*\n)*?)(?=    \S|\n|\Z)"
+            kind.__doc__ = re.sub(
+                pattern,
+                lambda found, text=text: found[1].rstrip().removesuffix(".") + text + "\n",
+                kind.__doc__,
+                count=1,
+            )
+    return kind
+
+
+def _unit(unit: str) -> Callable[[], str]:
+    return lambda: f" [{unit}]." if unit else ""
+
+
+def _field(default: Any, check: Check, said: Callable[[], str] | None = None) -> Any:
+    return dataclasses.field(default=default, metadata={_CHECK: check, _SAID: said})

@@ -1,0 +1,86 @@
+"""Numbers that a choice brings: what they are called, and which values they can have."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+from hitl_jax.choices.checks import GREATEST, require
+from hitl_jax.errors import InvalidValue
+
+
+class Option(NamedTuple):
+    """A traced number of a choice's own, in `Hyper.extra`, or in `HumanParams.extra` of a human.
+
+    Attributes:
+        name: by which it is found there.
+        default: where it is not given.
+        doc: what it means, in a few words.
+        unit: for example `rad`; nothing where it has none.
+        at_least: least value.
+        at_most: greatest value.
+    """
+
+    name: str
+    default: float
+    doc: str
+    unit: str = ""
+    at_least: float = -GREATEST
+    at_most: float = GREATEST
+
+
+def options_of(parts: Iterable[Any]) -> dict[str, Option]:
+    """All options of some choices, by name.
+
+    Args:
+        parts: choices; those without an attribute `options` have none.
+
+    Raises:
+        InvalidValue: if two of them bring different options of one name.
+    """
+    found: dict[str, Option] = {}
+    for part in parts:
+        for option in getattr(part, "options", ()):
+            if found.setdefault(option.name, option) != option:
+                raise InvalidValue("extra", option.name, "two choices have an option of this name")
+    return found
+
+
+def completed(
+    given: Mapping[str, Any], options: Mapping[str, Option], name: str = "extra"
+) -> dict[str, Any]:
+    """What was given, with the defaults of what was not; nothing is checked.
+
+    Args:
+        given: numbers by name, on the host or traced.
+        options: of `options_of`.
+        name: of the field that holds them, for the message.
+
+    Raises:
+        InvalidValue: one line, for a number that is no option of these choices.
+    """
+    for unknown in given.keys() - options.keys():
+        allowed = f"must be one of {', '.join(options)}" if options else "no choice has options"
+        raise InvalidValue(name, unknown, allowed)
+    return {key: given.get(key, option.default) for key, option in options.items()}
+
+
+def require_within(
+    given: Mapping[str, Any], options: Mapping[str, Option], name: str = "extra"
+) -> None:
+    """Checks host numbers by the bounds of their options.
+
+    Args:
+        given: of `completed`.
+        options: of `options_of`.
+        name: of the field that holds them, for the message.
+
+    Raises:
+        InvalidValue: one line with the option, the value and what is allowed.
+    """
+    for key, option in options.items():
+        require(f"{name}.{key}", given[key], option.at_least, option.at_most)
+
+
+def require_names(name: str, given: Mapping[str, Any]) -> None:
+    """Checks what can be checked without the choices: names of options, and finite numbers."""
+    for key, value in given.items():
+        require(f"{name}.{key}", value)

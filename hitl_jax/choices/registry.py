@@ -1,0 +1,185 @@
+"""Choices by name: one registry for each kind, in the room where the kind is implemented.
+
+A choice is given in one of three ways: by a registered name, as an object from Python, or as
+`module:name`, which is imported when it is first asked for. What is behind the name is the choice
+itself or a function that makes it. Strings alone stand in a configuration; nothing is imported for
+them until a team is made.
+"""
+
+import importlib
+import re
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Generic, NamedTuple, TypeVar
+
+from hitl_jax.errors import InvalidValue, first_line
+
+T = TypeVar("T")
+
+_IMPORTED = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
+
+
+class Entry(NamedTuple):
+    """A registered choice.
+
+    Attributes:
+        doc: a few words for `--help`, without a full stop.
+        value: the choice, or a function that makes it.
+    """
+
+    doc: str
+    value: Any
+
+
+class Registry(Mapping[str, Entry], Generic[T]):
+    """The choices of one kind, by name, in the order in which they were registered.
+
+    Attributes:
+        kind: what they are, as messages name it.
+        option: name of the option by which one is chosen.
+    """
+
+    def __init__(self, kind: str, option: str, fits: Callable[[Any], bool], made_once: bool = True):
+        """Begins without entries.
+
+        Args:
+            kind: what they are, as messages name it, for example `boundary source`.
+            option: name of the option by which one is chosen, for example `boundary_source`.
+            fits: whether an object is one of this kind.
+            made_once: whether a name gives the same object each time, for equal arguments. Programs
+                are compiled once for a team of equal parts.
+        """
+        self.kind, self.option = kind, option
+        self._fits = fits
+        self._made: dict[Any, T] | None = {} if made_once else None
+        self._entries: dict[str, Entry] = {}
+
+    def register(self, name: str, doc: str) -> Callable[[Any], Any]:
+        """A decorator that registers a choice, or a function that makes it.
+
+        Args:
+            name: by which it is chosen.
+            doc: a few words for `--help`, without a full stop.
+
+        Raises:
+            ValueError: if the name is taken, or would be read as `module:name`.
+        """
+        if name in self._entries or ":" in name:
+            raise ValueError(f"{self.kind} {name}: is registered already, or has a colon")
+
+        def add(value: Any) -> Any:
+            self._entries[name] = Entry(doc, value)
+            return value
+
+        return add
+
+    def __getitem__(self, name: str) -> Entry:
+        return self._entries[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names, in their order."""
+        return tuple(self._entries)
+
+    @property
+    def help(self) -> str:
+        """All names with their docs, and what else can be given, for `--help`."""
+        named = [f"`{name}` ({entry.doc})" for name, entry in self._entries.items()]
+        return f"{', '.join(named)}, or one of your own as `module:name`"
+
+    @property
+    def _allowed(self) -> str:
+        return f"must be one of {', '.join(self._entries)}, or module:name of your own"
+
+    def check(self, choice: Any, option: str | None = None) -> None:
+        """Checks what a configuration names; imports nothing.
+
+        Args:
+            choice: what was chosen.
+            option: by which; this registry's by default.
+
+        Raises:
+            InvalidValue: one line with the option, the value and what is allowed.
+        """
+        known = isinstance(choice, str) and (choice in self._entries or is_imported(choice))
+        if not known:
+            raise InvalidValue(option or self.option, choice, self._allowed)
+
+    def make(self, choice: Any, *args: Any, **named: Any) -> T:
+        """The choice itself.
+
+        Args:
+            choice: a registered name, `module:name`, or an object: the choice, or a function that
+                makes it.
+            *args: what a function that makes one of this kind is called with.
+            **named: likewise.
+
+        Raises:
+            InvalidValue: one line with the option, the value and what is allowed.
+        """
+        if not isinstance(choice, str):
+            return self._from(choice, _name_of(choice), args, named)
+        self.check(choice)
+        asked = choice, args, tuple(named.items())
+        if self._made is None or asked not in self._made:
+            entry = self._entries.get(choice)
+            value = self._imported(choice) if entry is None else entry.value
+            made = self._from(value, choice, args, named)
+            if self._made is None:
+                return made
+            self._made[asked] = made
+        return self._made[asked]
+
+    def _from(self, value: Any, told: str, args: Any, named: Any) -> T:
+        """What a value is, or makes; `told` is its name in messages."""
+        makes = callable(value) and not self._is_one(value)
+        if makes:
+            try:
+                value = value(*args, **named)
+            except InvalidValue:
+                raise
+            except (TypeError, ValueError) as error:
+                raise InvalidValue(self.option, told, f"raised: {first_line(error)}") from error
+        if not self._is_one(value):
+            why = f"must give a {self.kind}, gives {_name_of(value)}"
+            raise InvalidValue(self.option, told, why if makes else self._allowed)
+        one: T = value
+        return one
+
+    def _is_one(self, value: Any) -> bool:
+        return not isinstance(value, type) and self._fits(value)
+
+    def _imported(self, choice: str) -> Any:
+        module, _, name = choice.partition(":")
+        try:
+            return getattr(importlib.import_module(module), name)
+        except AttributeError as error:
+            raise InvalidValue(self.option, choice, f"{module} has no {name}") from error
+        except Exception as error:  # Whatever a module does when it is imported.
+            why = f"{module} cannot be imported: {type(error).__name__}: {first_line(error)}"
+            raise InvalidValue(self.option, choice, why) from error
+
+
+def is_imported(choice: str) -> bool:
+    """Whether a choice is `module:name`, code of the user's own."""
+    return _IMPORTED.fullmatch(choice) is not None
+
+
+def has(*names: str) -> Callable[[Any], bool]:
+    """Whether an object has all these attributes: fits what implements a protocol.
+
+    Args:
+        *names: of the attributes.
+    """
+    return lambda value: all(hasattr(value, name) for name in names)
+
+
+def _name_of(value: Any) -> str:
+    """A few words for an object that is none of its kind."""
+    name = getattr(value, "__qualname__", None)
+    return name if isinstance(name, str) else f"{type(value).__name__} {value!r}"[:100]
