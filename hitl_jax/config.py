@@ -31,6 +31,7 @@ from hitl_jax.choices.fields import (
     whole,
 )
 from hitl_jax.choices.options import require_names
+from hitl_jax.choices.registry import require_trusted
 from hitl_jax.errors import InvalidValue
 from hitl_jax.human import (
     ALL_PARTS,
@@ -40,6 +41,7 @@ from hitl_jax.human import (
     HumanParams,
     validate_human_params,
 )
+from hitl_jax.human.actions import ACTION_SOURCES
 from hitl_jax.human.indicator import INDICATORS
 from hitl_jax.learner.algorithms import LEARNERS
 from hitl_jax.learner.task_learner import TaskLearner
@@ -93,6 +95,7 @@ class AgentConfig:
         indicator: the safety indicator c_t:
         danger: the simulated human's test of danger:
         human_parts: what stands between danger and the human's judgement, in this order:
+        human_actions: what the human does with the controls:
         intervention: what a human intervention does:
         release: what ends a takeover:
         feedback_schedule: when r(s, a^h) is given:
@@ -113,6 +116,7 @@ class AgentConfig:
     indicator: str = choice("hull_angle", INDICATORS)
     danger: str = choice("threshold", DANGER_MODELS)
     human_parts: tuple[str, ...] = choices(ALL_PARTS, HUMAN_PARTS)
+    human_actions: str = choice("scripted", ACTION_SOURCES)
     intervention: str = choice("reset", INTERVENTIONS)
     release: str = choice("judgement", RELEASES)
     feedback_schedule: str = choice("step", FEEDBACK_SCHEDULES)
@@ -217,6 +221,18 @@ class RunHyper(Hyper):
     has_arbiter: float = number(1.0, 0.0, 1.0)
     learns_boundary: float = number(1.0, 0.0, 1.0)
     human_present: float = number(1.0, 0.0, 1.0)
+
+
+def require_trusted_choices(config: AgentConfig) -> None:
+    """Refuses code that somebody else's file names; see `hitl_jax.choices.registry`.
+
+    Raises:
+        InvalidValue: one line with the field, the value and what to do.
+    """
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        for each in value if isinstance(value, tuple) else (value,):
+            require_trusted(field.name, each)
 
 
 def typed(hyper: RunHyper) -> RunHyper:

@@ -12,6 +12,7 @@ from hitl_jax.benchmarks.timing import best
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.learner import replay
 from hitl_jax.results.episode_measures import Row
+from hitl_jax.learner.deterministic import DeterministicActorCritic
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training import batch_arrays, compiled_batch
 from hitl_jax.training.run_spec import LoopConfig, num_slots
@@ -39,6 +40,7 @@ def update_flops(config: AgentConfig) -> float:
     observations, actions = config.observation_size, config.action_size
     actor = layers(observations, actions)
     learner = config.task_learner
+    assert isinstance(learner, DeterministicActorCritic)
     critic = layers(observations + actions, learner.num_quantiles or 1)
     target = sum(actor) + learner.num_critics * sum(critic)
     critics = learner.num_critics * (3 * sum(critic) - critic[0])

@@ -1,7 +1,8 @@
 """Checks of values that a caller chose; each raises `InvalidValue`, one line."""
 
+import math
 import numbers
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,28 @@ def require_whole(name: str, value: int, at_least: int = 0, at_most: int = MOST)
     if not is_whole(value):
         raise InvalidValue(name, value, "must be a whole number")
     require(name, value, at_least, at_most)
+
+
+def require_that(name: str, value: Any, allowed: Callable[[Any], bool], what: str) -> None:
+    """Raises InvalidValue unless `value` is a finite number and allowed.
+
+    Args:
+        name: of the value, as in its dataclass.
+        value: Python's.
+        allowed: whether a number is.
+        what: is allowed, in words that follow "must be".
+    """
+    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    whole = isinstance(value, numbers.Integral)
+    if not (number and (whole or math.isfinite(value)) and allowed(value)):
+        raise InvalidValue(name, value, f"must be {what}")
+
+
+def require_up_to(name: str, value: float, most: int, whole: bool = False) -> None:
+    """Raises InvalidValue unless `value` is a number from 0 to `most`."""
+    if whole and not isinstance(value, numbers.Integral):
+        raise InvalidValue(name, value, "must be a whole number")
+    require_that(name, value, lambda number: 0 <= number <= most, f"from 0 to {most}")
 
 
 def require_seeds(first_seed: int, seeds: int) -> None:

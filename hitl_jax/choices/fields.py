@@ -31,8 +31,6 @@ def number(
     default: float,
     at_least: float = -GREATEST,
     at_most: float = GREATEST,
-    *,
-    above: float | None = None,
     unit: str = "",
 ) -> Any:
     """A field that holds a finite number.
@@ -41,16 +39,9 @@ def number(
         default: its value where none is given.
         at_least: least value.
         at_most: greatest value.
-        above: a bound that the value must exceed.
         unit: for example `rad`; nothing where it has none.
     """
-
-    def check(name: str, value: Any) -> None:
-        require(name, value, at_least, at_most)
-        if above is not None and not value > above:
-            raise InvalidValue(name, value, f"must be a finite number above {above:g}")
-
-    return _field(default, check, _unit(unit))
+    return _field(default, lambda name, value: require(name, value, at_least, at_most), _unit(unit))
 
 
 def whole(default: int, at_least: int = 0, at_most: int = MOST, unit: str = "") -> Any:
@@ -60,7 +51,7 @@ def whole(default: int, at_least: int = 0, at_most: int = MOST, unit: str = "") 
     )
 
 
-def choice(default: str, registry: Registry[Any]) -> Any:
+def choice(default: str | None, registry: Registry[Any]) -> Any:
     """A field that names a choice: a registered one, or `module:name`."""
     return _field(
         default, lambda name, value: registry.check(value, name), lambda: f" {registry.help}."
@@ -89,9 +80,9 @@ def flag(default: bool) -> Any:
     return _field(default, lambda name, value: None)
 
 
-def checked_by(default: Any, check: Check) -> Any:
+def checked_by(default: Any, check: Check, unit: str = "") -> Any:
     """A field with a rule of its own."""
-    return _field(default, check)
+    return _field(default, check, _unit(unit))
 
 
 def nested(make: Callable[[], Any], check: Check) -> Any:
@@ -125,14 +116,12 @@ def described(kind: type[T]) -> type[T]:
     kind.__doc__ = inspect.cleandoc(kind.__doc__ or "")  # As Python 3.13 does.
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]
         said = field.metadata.get(_SAID)
-        if said is not None and (text := said()):
-            pattern = rf"(\n    {field.name}: (?:.*\n?)(?:        .*\n)*?)(?=    \S|\n|\Z)"
-            kind.__doc__ = re.sub(
-                pattern,
-                lambda found, text=text: found[1].rstrip().removesuffix(".") + text + "\n",
-                kind.__doc__,
-                count=1,
-            )
+        if said is not None:
+            lines = rf"(\n    {field.name}: (?:.*\n?)(?:        .*\n)*?)(?=    \S|\n|\Z)"
+            found = re.search(lines, kind.__doc__)
+            if found is not None:
+                text = found[1].rstrip().removesuffix(".") + said() + "\n"
+                kind.__doc__ = kind.__doc__[: found.start()] + text + kind.__doc__[found.end() :]
     return kind
 
 

@@ -7,6 +7,7 @@ them until a team is made.
 """
 
 import importlib
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -14,6 +15,9 @@ from typing import Any, Generic, NamedTuple, TypeVar
 from hitl_jax.errors import InvalidValue, first_line
 
 T = TypeVar("T")
+
+TRUSTED = "HITL_JAX_MODULES"
+"""Environment variable: modules that a results folder or a journal may name, between commas."""
 
 _IMPORTED = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
 
@@ -129,7 +133,12 @@ class Registry(Mapping[str, Entry], Generic[T]):
         if self._made is None or asked not in self._made:
             entry = self._entries.get(choice)
             value = self._imported(choice) if entry is None else entry.value
-            made = self._from(value, choice, args, named)
+            try:
+                made = self._from(value, choice, args, named)
+            except (TypeError, ValueError) as error:
+                if isinstance(error, InvalidValue) or entry is not None:
+                    raise
+                raise InvalidValue(self.option, choice, f"raised: {first_line(error)}") from error
             if self._made is None:
                 return made
             self._made[asked] = made
@@ -139,12 +148,7 @@ class Registry(Mapping[str, Entry], Generic[T]):
         """What a value is, or makes; `told` is its name in messages."""
         makes = callable(value) and not self._is_one(value)
         if makes:
-            try:
-                value = value(*args, **named)
-            except InvalidValue:
-                raise
-            except (TypeError, ValueError) as error:
-                raise InvalidValue(self.option, told, f"raised: {first_line(error)}") from error
+            value = value(*args, **named)
         if not self._is_one(value):
             why = f"must give a {self.kind}, gives {_name_of(value)}"
             raise InvalidValue(self.option, told, why if makes else self._allowed)
@@ -165,12 +169,31 @@ class Registry(Mapping[str, Entry], Generic[T]):
             raise InvalidValue(self.option, choice, why) from error
 
 
-def is_imported(choice: str) -> bool:
+def is_imported(choice: Any) -> bool:
     """Whether a choice is `module:name`, code of the user's own."""
-    return _IMPORTED.fullmatch(choice) is not None
+    return isinstance(choice, str) and _IMPORTED.fullmatch(choice) is not None
 
 
-def has(*names: str) -> Callable[[Any], bool]:
+def require_trusted(name: str, choice: Any) -> None:
+    """Refuses code that somebody else's file names; to be called before a team is made of a file.
+
+    Args:
+        name: of the value in the file.
+        choice: what the file names.
+
+    Raises:
+        InvalidValue: if it is `module:name` of a module that the environment variable
+            `HITL_JAX_MODULES`, names between commas, does not list.
+    """
+    if is_imported(choice):
+        module = choice.partition(":")[0]
+        if module not in os.environ.get(TRUSTED, "").split(","):
+            raise InvalidValue(
+                name, choice, f"is code that would be run; if you trust it, set {TRUSTED}={module}"
+            )
+
+
+def having(*names: str) -> Callable[[Any], bool]:
     """Whether an object has all these attributes: fits what implements a protocol.
 
     Args:

@@ -1,14 +1,24 @@
-"""Pools of walkers: gymnasium, Box2D and EnvPool are imported here alone, and lazily."""
+"""Pools of walkers by backend: gymnasium, Box2D and EnvPool are imported here alone, and lazily.
+
+To add a backend, write a function that gives a `WalkerPool` and register it.
+"""
 
 import operator
 import sys
 
+from hitl_jax.choices.registry import Registry, having
 from hitl_jax.envs import box2d
 from hitl_jax.envs.base import Command, StepBatch, WalkerPool
 from hitl_jax.errors import Unplayable, WalkerError
 from hitl_jax.xla.cores import num_cores
 
-BACKENDS = ("lean", "gymnasium", "envpool", "jax")
+BACKENDS: Registry[WalkerPool] = Registry(
+    "walker pool",
+    "backend",
+    having("num_walkers", "observation_size", "action_size", "seedable", "step", "close"),
+    made_once=False,
+)
+"""Each is made with `num_walkers`, `num_workers`, `env_id` and `seed`; see `make_pool`."""
 WALKER = "BipedalWalker-v3"
 HARDCORE_WALKER = "BipedalWalkerHardcore-v3"
 OUR_WALKERS = (WALKER, HARDCORE_WALKER)
@@ -68,8 +78,9 @@ def make_pool(
     Args:
         backend: `gymnasium` (the official environment in worker processes; episodes are seeded),
             `lean` (equal to it bit for bit, in half the time), `envpool` (its Box2D is another
-            version and episodes cannot be seeded) or `jax` (`hitl_jax.walker`, which agrees with it
-            up to rounding). `lean` and `jax` play `OUR_WALKERS` only.
+            version and episodes cannot be seeded), `jax` (`hitl_jax.walker`, which agrees with it
+            up to rounding), or `module:name` of a function of your own with these arguments by
+            name. `lean` and `jax` play `OUR_WALKERS` only.
         num_walkers: N, a whole number.
         num_workers: processes, or threads of `envpool`, or CPU devices of `jax`, at most N are
             used; by default one for each core that this process may use.
@@ -85,8 +96,7 @@ def make_pool(
         ImportError: if EnvPool or Box2D is needed and missing; one line that says what to install.
         WalkerError: if a worker process does not come up.
     """
-    if backend not in BACKENDS:
-        raise ValueError(f"backend {backend!r}: must be one of {', '.join(BACKENDS)}")
+    BACKENDS.check(backend)
     if num_workers is None:
         num_workers = num_cores()
     num_walkers = _whole("num_walkers", num_walkers, 1)
@@ -100,23 +110,53 @@ def make_pool(
             "a walker's process makes no pools; the module that registers an environment must not "
             "make one when it is imported: put that under `if __name__ == '__main__':`",
         )
-    if backend == "envpool":
-        from hitl_jax.envs.envpool_pool import EnvpoolPool
+    return BACKENDS.make(
+        backend, num_walkers=num_walkers, num_workers=num_workers, env_id=env_id, seed=seed
+    )
 
-        return EnvpoolPool(env_id, num_walkers, num_workers, seed=seed)
-    if backend in ("lean", "jax") and env_id not in OUR_WALKERS:
-        raise ValueError(
-            f"env_id {env_id!r}: must be one of {', '.join(OUR_WALKERS)} with backend {backend!r}; "
-            "backend 'gymnasium' takes any"
-        )
-    if backend == "jax":
-        from hitl_jax.envs.jax_pool import JaxPool
 
-        return JaxPool(num_walkers, num_workers, env_id == HARDCORE_WALKER)
+@BACKENDS.register("lean", "equal to gymnasium's walker bit for bit, and twice as fast")
+def _lean(num_walkers: int, num_workers: int, env_id: str, seed: int) -> WalkerPool:
+    del seed
+    _require_ours("lean", env_id)
+    return _workers("lean", num_walkers, num_workers, env_id)
+
+
+@BACKENDS.register("gymnasium", "the official one, in worker processes")
+def _gymnasium(num_walkers: int, num_workers: int, env_id: str, seed: int) -> WalkerPool:
+    del seed
+    return _workers("gymnasium", num_walkers, num_workers, env_id)
+
+
+@BACKENDS.register("envpool", "its terrain cannot be seeded; needs the extra `fast`")
+def _envpool(num_walkers: int, num_workers: int, env_id: str, seed: int) -> WalkerPool:
+    from hitl_jax.envs.envpool_pool import EnvpoolPool
+
+    return EnvpoolPool(env_id, num_walkers, num_workers, seed=seed)
+
+
+@BACKENDS.register("jax", "our own, compiled, which agrees with them up to rounding")
+def _jax(num_walkers: int, num_workers: int, env_id: str, seed: int) -> WalkerPool:
+    del seed
+    _require_ours("jax", env_id)
+    from hitl_jax.envs.jax_pool import JaxPool
+
+    return JaxPool(num_walkers, num_workers, env_id == HARDCORE_WALKER)
+
+
+def _workers(backend: str, num_walkers: int, num_workers: int, env_id: str) -> WalkerPool:
     require_backend(backend, env_id)
     from hitl_jax.envs.worker_pool import WorkerPool
 
     return WorkerPool(backend, env_id, num_walkers, num_workers)
+
+
+def _require_ours(backend: str, env_id: str) -> None:
+    if env_id not in OUR_WALKERS:
+        raise ValueError(
+            f"env_id {env_id!r}: must be one of {', '.join(OUR_WALKERS)} with backend {backend!r}; "
+            "backend 'gymnasium' takes any"
+        )
 
 
 def _whole(name: str, value: int, least: int, most: int | None = None) -> int:

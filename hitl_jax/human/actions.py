@@ -1,4 +1,7 @@
-"""The human's actions a^h of one run: where they come from, behind one interface."""
+"""The human's actions a^h of one run by name: where they come from, behind one interface.
+
+To add a source, write an `ActionSource` and register it.
+"""
 
 import functools
 from collections.abc import Callable
@@ -9,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from hitl_jax.choices.registry import Registry
 from hitl_jax.human.indicator import WALKER_OBSERVATION
 from hitl_jax.types import Params
 
@@ -33,6 +37,12 @@ class ActionSource(NamedTuple):
     act: Callable[[State, chex.Array, chex.PRNGKey], tuple[State, chex.Array]]
     observation_size: int | None = None
     action_size: int | None = None
+
+
+ACTION_SOURCES: Registry[ActionSource] = Registry(
+    "source of actions", "human_actions", lambda value: isinstance(value, ActionSource)
+)
+"""Each is made from the number of actions."""
 
 
 def policy(apply: Callable[[Params, chex.Array], chex.Array], params: Params) -> ActionSource:
@@ -65,6 +75,22 @@ def with_noise(source: ActionSource, scale: chex.Numeric) -> ActionSource:
         return state, jnp.clip(action + noise, -1.0, 1.0)
 
     return source._replace(act=act)
+
+
+@ACTION_SOURCES.register("still", "no torque, whatever is seen")
+def still(action_size: int) -> ActionSource:
+    """Actions of 0.
+
+    Args:
+        action_size: A.
+    """
+    return policy(lambda params, observation: jnp.zeros((action_size,), jnp.float32), None)
+
+
+@ACTION_SOURCES.register("scripted", "gymnasium's scripted walker")
+def _scripted(action_size: int) -> ActionSource:
+    del action_size
+    return scripted_walker()
 
 
 # The scripted walker: a state machine of three phases, the numbers those of gymnasium 1.4,

@@ -1,9 +1,11 @@
 """The traced parameters of a simulated human."""
 
+from typing import Any
+
 from flax import struct
 
-from hitl_jax.choices.checks import MOST, require_whole
-from hitl_jax.choices.fields import described, nested, number, require_fields, whole
+from hitl_jax.choices.checks import MOST, require_that, require_up_to
+from hitl_jax.choices.fields import checked_by, described, nested, require_fields
 from hitl_jax.choices.options import require_names
 
 MAX_DELAY = 32
@@ -11,6 +13,22 @@ MAX_DELAY = 32
 
 UNLIMITED = MOST
 """A budget of interventions that no run uses up."""
+
+
+def _above_0(name: str, value: Any) -> None:
+    require_that(name, value, lambda number: number > 0, "a finite number above 0")
+
+
+def _at_least_0(name: str, value: Any) -> None:
+    require_that(name, value, lambda number: number >= 0, "a finite number of at least 0")
+
+
+def _share(name: str, value: Any) -> None:
+    require_up_to(name, value, 1)
+
+
+def _count(name: str, value: Any) -> None:
+    require_up_to(name, value, UNLIMITED, whole=True)
 
 
 @described
@@ -30,28 +48,25 @@ class HumanParams:
         extra: numbers of a part or danger model of one's own, by name.
     """
 
-    tolerance: float = number(0.45, above=0.0, unit="rad")
-    horizon: float = number(0.2, at_least=0.0, unit="s")
-    delay: int = whole(0, unit="steps")
-    mistake_rate: float = number(0.0, at_least=0.0, at_most=1.0, unit="1")
-    lapse_rate: float = number(0.0, at_least=0.0, at_most=1.0, unit="1")
-    max_interventions: int = whole(UNLIMITED, unit="count")
-    refractory_steps: int = whole(0, unit="steps")
+    tolerance: float = checked_by(0.45, _above_0, "rad")
+    horizon: float = checked_by(0.2, _at_least_0, "s")
+    delay: int = checked_by(0, _count, "steps")
+    mistake_rate: float = checked_by(0.0, _share, "1")
+    lapse_rate: float = checked_by(0.0, _share, "1")
+    max_interventions: int = checked_by(UNLIMITED, _count, "count")
+    refractory_steps: int = checked_by(0, _count, "steps")
     extra: dict[str, float] = nested(dict, require_names)
 
 
-def validate_human_params(
-    params: HumanParams, max_delay: int = MAX_DELAY, prefix: str = "human."
-) -> None:
+def validate_human_params(params: HumanParams, max_delay: int = MAX_DELAY) -> None:
     """Checks host values before any work starts.
 
     Args:
         params: scalars, not yet on a device.
         max_delay: longest delay that the human was made for [steps].
-        prefix: before the names in messages.
 
     Raises:
         InvalidValue: one line with the name, the value and what is allowed.
     """
-    require_fields(params, prefix)
-    require_whole(f"{prefix}delay", params.delay, at_most=max_delay)
+    require_up_to("human.delay", params.delay, max_delay, whole=True)
+    require_fields(params, "human.")

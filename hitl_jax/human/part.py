@@ -84,7 +84,7 @@ def chain(*parts: HumanPart) -> HumanPart:
     Raises:
         ValueError: if they were made for observations of different sizes.
     """
-    sizes = {part.observation_size for part in parts} - {None}
+    sizes = {part.observation_size for part in parts if part.observation_size is not None}
     if len(sizes) > 1:
         raise ValueError(f"parts of a human made for observations of {sorted(sizes)}: must be one")
 

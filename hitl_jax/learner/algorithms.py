@@ -4,12 +4,12 @@ from typing import Any
 
 import chex
 
-from hitl_jax.choices.registry import Registry, has
+from hitl_jax.choices.registry import Registry, having
 from hitl_jax.learner import losses
 from hitl_jax.learner.deterministic import DeterministicActorCritic
 from hitl_jax.learner.task_learner import NEEDS, Sizes, TaskLearner
 
-LEARNERS: Registry[TaskLearner] = Registry("task learner", "learner", has(*NEEDS))
+LEARNERS: Registry[TaskLearner] = Registry("task learner", "learner", having(*NEEDS))
 """Each is made from an `AgentConfig`."""
 
 

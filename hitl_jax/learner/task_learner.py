@@ -9,8 +9,9 @@ from hitl_jax.learner.losses import Metrics
 from hitl_jax.types import Params, Transition
 
 State = Any
-"""A dataclass of arrays: all that the task learner changes in a run. Its field `actor` is what acting
-needs; its fields `actor` and `critic` are saved of a trained run."""
+"""A dataclass of arrays: all that the task learner changes in a run.
+
+Acting needs its field `actor`; of a trained run its fields `actor` and `critic` are saved."""
 
 
 class Sizes(Protocol):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from hitl_jax.config import AgentConfig, Hyper
+from hitl_jax.config import require_trusted_choices, AgentConfig, Hyper
 from hitl_jax.errors import InvalidValue
 from hitl_jax.human.fit import FittedHuman, fit_human
 from hitl_jax.human.indicator import hull_angle, weighted
@@ -90,6 +90,7 @@ def options_from(
     try:
         told = {name: value for name, value in header.items() if name != "made"}
         begun = options_of(completed(told), _Begun)
+        require_trusted_choices(begun.agent)
     except ValueError as error:
         raise ValueError(f"{path}: is no journal of a live session: {error}") from error
     return LiveOptions(

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hitl_jax.choices.registry import is_imported
 from hitl_jax.envs import WalkerPool, require_backend
 from hitl_jax.envs.episode_log import playback
 from hitl_jax.errors import ResultsError
@@ -137,7 +138,8 @@ def require_repeatable(folder: ResultsFolder) -> None:
     Raises:
         ResultsError: in one line.
     """
-    if folder.load_config().get("backend") == "envpool":
+    backend = folder.load_config().get("backend")
+    if backend == "envpool" or is_imported(backend):
         raise ResultsError(
-            f"{folder.path}: made with --backend envpool, whose episodes cannot be played again"
+            f"{folder.path}: made with --backend {backend}, whose episodes cannot be played again"
         )

@@ -3,7 +3,14 @@
 from collections.abc import Callable
 from typing import TypeVar
 
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, validate_hyper
+from hitl_jax.config import (
+    AgentConfig,
+    Hyper,
+    Method,
+    hyper_for,
+    require_trusted_choices,
+    validate_hyper,
+)
 from hitl_jax.errors import InvalidValue, ResultsError
 from hitl_jax.results.atomic_files import named_errors
 from hitl_jax.results.folder import ResultsFolder
@@ -31,6 +38,8 @@ def agent_of(folder: ResultsFolder, human_policy: str | None = None) -> Agent:
         ValueError: if the file is no such checkpoint.
     """
     config = section_of(folder, "agent", AgentConfig)
+    with named_errors(folder.path / "config.json"):
+        require_trusted_choices(config)
     return make_team(config, human_policy, recorded_human.kept(folder))
 
 

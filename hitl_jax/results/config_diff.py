@@ -11,7 +11,14 @@ _MAX_DIFFERENCES = 5
 _LONGEST = 100
 _THEN = ", then "
 
-CAME_LATER: dict[str, dict[str, Any]] = {"agent": {"matmul_precision": "float32"}}
+CAME_LATER: dict[str, dict[str, Any]] = {
+    "agent": {
+        "matmul_precision": "float32",
+        "human_parts": ["delay", "mistakes", "lapses", "attention"],
+        "human_actions": "scripted",
+    },
+    "hyper": {"human": {"extra": {}}, "extra": {}},
+}
 """Choices added since results were kept, by section, and the value that changes nothing."""
 
 
@@ -36,8 +43,34 @@ def completed(config: dict[str, Any]) -> dict[str, Any]:
     for section, choices in CAME_LATER.items():
         has = config.get(section)
         if isinstance(has, dict):
-            whole[section] = has | {k: v for k, v in choices.items() if k not in has}
+            whole[section] = _with(has, choices)
     return whole
+
+
+def _with(section: dict[str, Any], choices: dict[str, Any]) -> dict[str, Any]:
+    whole = dict(section)
+    for name, value in choices.items():
+        has = whole.setdefault(name, value)
+        if value and isinstance(value, dict) and isinstance(has, dict):
+            whole[name] = _with(has, value)
+    return whole
+
+
+def without_later(section: dict[str, Any], choices: dict[str, Any]) -> dict[str, Any]:
+    """A section as it was written before there were choices that change nothing in it.
+
+    Args:
+        section: of a config.
+        choices: of `CAME_LATER`, the section's.
+    """
+    left = {}
+    for name, value in section.items():
+        later = choices.get(name)
+        if later and isinstance(later, dict):
+            left[name] = without_later(value, later)
+        elif name not in choices or (list(value) if isinstance(value, tuple) else value) != later:
+            left[name] = value
+    return left
 
 
 def require_same(path: pathlib.Path, has: dict[str, Any], asked: dict[str, Any]) -> None:

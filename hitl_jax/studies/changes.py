@@ -39,12 +39,13 @@ def changed(changes: Changes) -> Parts:
     """
     used: set[str] = set()
 
-    def change(default: Any) -> Any:
-        names = {field.name for field in dataclasses.fields(default)} & changes.keys()
+    def change(default: Any, *others: str) -> Any:
+        known = {field.name for field in dataclasses.fields(default)}
+        names = (known & changes.keys()).difference(others)
         used.update(names)
         return dataclasses.replace(default, **{name: changes[name] for name in names})
 
-    hyper = dataclasses.replace(change(Hyper()), human=change(HumanParams()))
+    hyper = dataclasses.replace(change(Hyper()), human=change(HumanParams(), "extra"))
     validate_hyper(hyper)
     policy = changes.get("human_policy")
     policy = None if policy is None else str(_ROOT / policy)

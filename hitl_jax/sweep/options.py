@@ -8,6 +8,8 @@ import numpy as np
 import tyro
 
 from hitl_jax.choices.checks import one_of, require, require_seeds, require_whole
+from hitl_jax.choices.fields import choice, described
+from hitl_jax.choices.registry import is_imported
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, validate_hyper
 from hitl_jax.envs import BACKENDS
 from hitl_jax.errors import InvalidValue
@@ -37,6 +39,7 @@ PRESETS = {
 }
 
 
+@described
 @dataclasses.dataclass(frozen=True)
 class SweepOptions:
     """Train SRL, HITL-FIX and HITL-AC over a batch of seeds, test each walker, draw Figures 4-6.
@@ -50,10 +53,7 @@ class SweepOptions:
         episodes: training episodes of a run (default: the preset's).
         test_episodes: test episodes of a run, alone and again with the human (default: the
             preset's).
-        backend: `lean`, equal to gymnasium's walker bit for bit and twice as fast; `gymnasium`,
-            the official one; `envpool`, whose terrain cannot be seeded (needs the extra `fast`);
-            `jax`, our own, compiled, which agrees with them up to rounding (default: lean, or jax
-            where Box2D cannot be imported).
+        backend: what plays the walkers (default: lean, or jax where Box2D cannot be imported):
         workers: processes that step walkers, or CPU devices with `jax` (default: one a core).
         slots: runs at a time, at least two a core; the others wait. Each takes capacity x 140 bytes
             of memory.
@@ -77,7 +77,7 @@ class SweepOptions:
     first_seed: int = 0
     episodes: int | None = None
     test_episodes: int | None = None
-    backend: str | None = None
+    backend: str | None = choice(None, BACKENDS)
     workers: int | None = None
     slots: int = 32
     human: str = recorded_human.SIMULATED
@@ -123,7 +123,7 @@ class SweepOptions:
         """
         one_of("preset", self.preset, tuple(PRESETS))
         if self.backend is not None:
-            one_of("backend", self.backend, tuple(BACKENDS))
+            BACKENDS.check(self.backend)
         known = list(Method)
         if not self.methods or any(method not in known for method in self.methods):
             given = " ".join(self.methods) or "(none)"
@@ -143,7 +143,7 @@ class SweepOptions:
             runs = len(self.methods) * scale.seeds
             raise InvalidValue("shard", self.shard, f"has none of the {runs} runs")
         validate_hyper(self.hyper)
-        require_team(self.agent, self.loop)
+        require_team(self.agent, self.loop, own=is_imported(self.backend))
         if self.launch.launcher == "local":
             require_room(self.agent, self.loop, num_slots(len(self.specs()), self.slots))
         return self
@@ -172,13 +172,18 @@ def require_room(agent: AgentConfig, loop: LoopConfig, slots: int) -> None:
         )
 
 
-def require_team(agent: AgentConfig, loop: LoopConfig) -> None:
+def require_team(agent: AgentConfig, loop: LoopConfig, own: bool = False) -> None:
     """Checks that a team fits the walker and its loop.
+
+    Args:
+        agent: the team.
+        loop: of its runs.
+        own: whether the environment is none of ours: its sizes are compared when it is made.
 
     Raises:
         InvalidValue: one line with the name, the value and what is allowed.
     """
-    for name in ("observation_size", "action_size"):
+    for name in () if own else ("observation_size", "action_size"):
         has = getattr(AgentConfig(), name)
         require(name, getattr(agent, name), at_least=has, at_most=has)
     require("n_step", agent.n_step, at_most=loop.frames // 2)

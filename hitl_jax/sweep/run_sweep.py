@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from hitl_jax.choices.registry import is_imported
 from hitl_jax.envs import box2d, default_backend, make_pool, require_backend
 from hitl_jax.errors import LaunchError, ResultsError
 from hitl_jax.human.judgement import recorded
@@ -29,7 +30,7 @@ from hitl_jax.sweep.options import SweepOptions
 from hitl_jax.sweep.signals import Interrupted
 from hitl_jax.sweep.train_and_test import Batch, Plant, Tested, make_team, policy_digest
 from hitl_jax.team import checkpoint
-from hitl_jax.team.agent import Agent
+from hitl_jax.team.agent import Agent, validate
 from hitl_jax.training.run_spec import Run
 
 
@@ -92,6 +93,8 @@ def prepared(options: SweepOptions, command: str, say: Callable[[str], None]) ->
     dangerous = recorded_human.load(options.human)
     judge = None if dangerous is None else recorded(dangerous)
     agent = make_team(options.agent, options.human_policy, judge)
+    validate(agent, options.hyper)
+    options = dataclasses.replace(options, hyper=agent.with_extra(options.hyper))
     folder = ResultsFolder(options.out)
     config = config_of(options) | recorded_human.digest(dangerous)
     with options.launch.ready(), contextlib.ExitStack() as held:
@@ -115,8 +118,9 @@ def with_backend(options: SweepOptions) -> tuple[SweepOptions, str]:
     """
     if options.backend is not None:
         require_backend(options.backend)
-        if options.backend == "envpool":
-            make_pool("envpool", 1).close()  # A missing extra is noticed before a folder is made.
+        if options.backend == "envpool" or is_imported(options.backend):
+            # What is missing is noticed before a folder is made.
+            make_pool(options.backend, 1).close()
         return options, ""
     chosen = default_backend()
     note = (

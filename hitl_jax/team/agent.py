@@ -15,6 +15,7 @@ from hitl_jax.choices.options import Option, completed, options_of, require_with
 from hitl_jax.config import AgentConfig, Hyper, RunHyper, as_float32, traced, validate_hyper
 from hitl_jax.errors import InvalidValue
 from hitl_jax.human import actions
+from hitl_jax.human.actions import ACTION_SOURCES
 from hitl_jax.human.indicator import INDICATORS, Indicator
 from hitl_jax.learner import losses, replay
 from hitl_jax.learner.algorithms import LEARNERS
@@ -102,7 +103,7 @@ def make_agent(
         config: static choices.
         indicator: a safety indicator of one's own, observation [O] to c_t [].
         judge: a human of one's own.
-        source: human actions of one's own; the scripted walker by default.
+        source: human actions of one's own.
         learner: a task learner of one's own.
         boundary_source: a boundary source of one's own.
         intervention: an intervention of one's own.
@@ -116,7 +117,7 @@ def make_agent(
         config=config,
         indicator=INDICATORS.make(indicator or config.indicator),
         human=judge or human.simulated_human(config.danger, parts=config.human_parts),
-        source=source or actions.scripted_walker(),
+        source=ACTION_SOURCES.make(source or config.human_actions, config.action_size),
         learner=LEARNERS.make(learner or config.learner, config),
         boundary_source=SOURCES.make(boundary_source or config.boundary_source),
         intervention=INTERVENTIONS.make(intervention or config.intervention),
@@ -140,8 +141,8 @@ def _require_sizes(agent: Agent) -> None:
                 raise InvalidValue(
                     name,
                     getattr(config, name),
-                    f"must be {has} with this {part}, which was made for the walker; "
-                    f"give `make_agent` {'an' if part == 'indicator' else 'a'} {part} of your own",
+                    f"must be {has} with this {part}; choose another, or give `make_agent` one of "
+                    "your own",
                 )
     seen = jax.ShapeDtypeStruct((config.observation_size,), jnp.float32)
     told = jax.eval_shape(agent.indicator, seen)

@@ -184,9 +184,9 @@ class Run:
         """A row for each training episode; of a run that diverged those not played are falls."""
         rows = list(self.episodes)
         steps = self.env_steps
-        for number in range(len(rows) + 1, self.spec.episodes + 1 if self.diverged else 0):
+        for episode in range(len(rows) + 1, self.spec.episodes + 1 if self.diverged else 0):
             steps += 1
-            rows.append({"episode": number, "env_steps": steps, **fall_at_once()})
+            rows.append({"episode": episode, "env_steps": steps, **fall_at_once()})
         return rows
 
 

@@ -322,7 +322,7 @@ def _read_tuning(root: pathlib.Path) -> Any:
 # --------------------------------------------------------------- what we might have written as well
 
 _OPTIONAL = {"shard", "machine", "diverged", "lost_tests", "status", "command", "made", "time"}
-_OPTIONAL |= {"matmul_precision"}  # A choice that came later.
+_OPTIONAL |= {"matmul_precision", "human_parts", "human_actions", "extra"}  # These came later.
 _OPTIONAL |= {"label", "versions", "commit", "processor"}
 _NUMBER = re.compile(r"(-?\d+(\.\d+)?(e[+-]?\d+)?|nan)?", re.ASCII)
 

@@ -244,4 +244,4 @@ def test_imports_are_lazy():
 
 
 def test_backends():
-    assert BACKENDS == ("lean", "gymnasium", "envpool", "jax")
+    assert BACKENDS.names == ("lean", "gymnasium", "envpool", "jax")

@@ -435,7 +435,7 @@ class TestParams:
 
     def test_the_longest_delay_is_the_humans(self):
         human.validate_human_params(HumanParams(delay=40), max_delay=40)
-        with pytest.raises(ValueError, match="at least 0 and at most 20"):
+        with pytest.raises(ValueError, match="from 0 to 20"):
             human.validate_human_params(HumanParams(delay=40), max_delay=20)
 
 

@@ -149,7 +149,9 @@ def test_bfloat16_changes_what_actor_and_critics_learn_and_not_how_the_actor_act
         new, old = getattr(one.learner, name), getattr(other.learner, name)
         difference = jax.tree.map(lambda a, b: float(jnp.abs(a - b).max()), new, old)
         assert 0 < max(jax.tree.leaves(difference)) < 1e-2, name
-    actions = [agent.learner.actor.apply(before.learner.actor, jnp.ones(1)) for agent in (exact, rounded)]
+    actions = [
+        agent.learner.actor.apply(before.learner.actor, jnp.ones(1)) for agent in (exact, rounded)
+    ]
     np.testing.assert_array_equal(*actions)
 
 

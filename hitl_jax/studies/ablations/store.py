@@ -12,7 +12,7 @@ from typing import Any
 from hitl_jax.analysis.summary import SUMMARY_COLUMNS
 from hitl_jax.choices.checks import MOST_SEED
 from hitl_jax.results.atomic_files import named_errors, read_bytes, write_text_atomic
-from hitl_jax.results.config_diff import CAME_LATER
+from hitl_jax.results.config_diff import CAME_LATER, without_later
 from hitl_jax.results.episode_tables import cells_from_csv, finite
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.studies.changes import Parts
@@ -54,9 +54,8 @@ def digest(parts: Parts, budget: dict[str, int]) -> str:
     """
     options = []
     for name in ("agent", "loop", "hyper"):
-        later = CAME_LATER.get(name, {})
         values = dataclasses.asdict(getattr(parts, name))
-        options.append({k: v for k, v in values.items() if k not in later or v != later[k]})
+        options.append(without_later(values, CAME_LATER.get(name, {})))
     asked = [*options, policy_digest(parts.human_policy), budget]
     return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:12]
 
