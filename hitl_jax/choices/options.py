@@ -44,40 +44,34 @@ def options_of(parts: Iterable[Any]) -> dict[str, Option]:
     return found
 
 
-def completed(
-    given: Mapping[str, Any], options: Mapping[str, Option], name: str = "extra"
-) -> dict[str, Any]:
-    """What was given, with the defaults of what was not; nothing is checked.
+def completed(given: Mapping[str, Any], options: Mapping[str, Option]) -> dict[str, Any]:
+    """What was given, and the defaults of what was not; nothing is checked.
 
     Args:
         given: numbers by name, on the host or traced.
         options: of `options_of`.
-        name: of the field that holds them, for the message.
-
-    Raises:
-        InvalidValue: one line, for a number that is no option of these choices.
     """
-    for unknown in given.keys() - options.keys():
-        allowed = f"must be one of {', '.join(options)}" if options else "no choice has options"
-        raise InvalidValue(name, unknown, allowed)
-    return {key: given.get(key, option.default) for key, option in options.items()}
+    return {name: option.default for name, option in options.items()} | dict(given)
 
 
-def require_within(
+def require_known(
     given: Mapping[str, Any], options: Mapping[str, Option], name: str = "extra"
 ) -> None:
-    """Checks host numbers by the bounds of their options.
+    """Checks host numbers by the names and bounds of their options.
 
     Args:
-        given: of `completed`.
+        given: numbers by name; what is missing has its default.
         options: of `options_of`.
         name: of the field that holds them, for the message.
 
     Raises:
         InvalidValue: one line with the option, the value and what is allowed.
     """
-    for key, option in options.items():
-        require(f"{name}.{key}", given[key], option.at_least, option.at_most)
+    for key, value in given.items():
+        if key not in options:
+            allowed = f"must be one of {', '.join(options)}" if options else "no choice has options"
+            raise InvalidValue(name, key, allowed)
+        require(f"{name}.{key}", value, options[key].at_least, options[key].at_most)
 
 
 def require_names(name: str, given: Mapping[str, Any]) -> None:

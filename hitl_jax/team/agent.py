@@ -11,7 +11,7 @@ from hitl_jax import human
 from hitl_jax.arbiter import INTERVENTIONS, RELEASES, Intervention
 from hitl_jax.arbiter.releases import Release
 from hitl_jax.boundary import SOURCES, BoundaryLearner, BoundarySource
-from hitl_jax.choices.options import Option, completed, options_of, require_within
+from hitl_jax.choices.options import Option, completed, options_of, require_known
 from hitl_jax.config import AgentConfig, Hyper, RunHyper, as_float32, traced, validate_hyper
 from hitl_jax.errors import InvalidValue
 from hitl_jax.human import actions
@@ -74,13 +74,10 @@ class Agent(NamedTuple):
         """Hyperparameters with the defaults of what the choices' own options are not given.
 
         Args:
-            hyper: `Hyper` or `RunHyper`, of numbers on the host or traced.
-
-        Raises:
-            InvalidValue: one line, for a number that is no option of this team's choices.
+            hyper: `Hyper` or `RunHyper`, of numbers on the host or traced; not checked.
         """
         extra = completed(hyper.extra, self.options)
-        of_human = completed(hyper.human.extra, options_of([self.human]), "human.extra")
+        of_human = completed(hyper.human.extra, options_of([self.human]))
         return dataclasses.replace(
             hyper, extra=extra, human=dataclasses.replace(hyper.human, extra=of_human)
         )
@@ -161,9 +158,13 @@ def validate(agent: Agent, hyper: Hyper) -> None:
         InvalidValue: one line with the name, the value and what is allowed.
     """
     validate_hyper(hyper)
-    whole = agent.with_extra(hyper)
-    require_within(whole.extra, agent.options)
-    require_within(whole.human.extra, options_of([agent.human]), "human.extra")
+    require_extra(agent, hyper)
+
+
+def require_extra(agent: Agent, hyper: Hyper) -> None:
+    """Checks the numbers of the choices' own options; see `validate`."""
+    require_known(hyper.extra, agent.options)
+    require_known(hyper.human.extra, options_of([agent.human]), "human.extra")
 
 
 def init(agent: Agent, key: chex.PRNGKey) -> TrainState:

@@ -24,7 +24,7 @@ from hitl_jax.config import typed
 from hitl_jax.envs import WalkerPool
 from hitl_jax.results import recorded_episodes
 from hitl_jax.results.run_key import RunKey
-from hitl_jax.team.agent import Agent, behavior
+from hitl_jax.team.agent import Agent, behavior, require_extra
 from hitl_jax.team.warmup import may_learn
 from hitl_jax.training import batch_arrays
 from hitl_jax.training.compiled_batch import Programs
@@ -254,6 +254,7 @@ class Rollout:
     def _begin_run(self, slot: int, spec: RunSpec) -> Run:
         """Gives a slot to a run at its beginning."""
         learning, acting, _ = batch_arrays.run_keys(spec.seed, method_index(spec.method))
+        require_extra(self._agent, spec.hyper)
         hyper = typed(self._agent.with_extra(spec.hyper))
         self._learner.begin(slot, hyper, learning)
         self._stage.begin_run(slot, hyper, acting)

@@ -48,16 +48,6 @@ class LoopConfig:
         """Capacity in whole chunks."""
         return math.ceil(self.capacity / self.chunk) * self.chunk
 
-    def warmup_ticks(self, warmup_steps: int, n_step: int) -> int:
-        """Ticks of a run before it first learns.
-
-        Args:
-            warmup_steps: steps of random actions. `team.acting` counts steps and this counts ticks,
-                resets included: learning begins so many ticks before the last random action.
-            n_step: steps of reward before the bootstrap; a minibatch needs some frames more.
-        """
-        return max(warmup_steps, 2 * self.chunk, n_step + 2)
-
     def num_updates(self, policy_delay: int) -> int:
         """Updates in one call of the learner.
 

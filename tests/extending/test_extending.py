@@ -185,7 +185,7 @@ def test_what_was_made_for_the_walker_refuses_another_environment(changes, said)
 def test_numbers_of_no_choice_are_refused():
     hyper = hyper_for(Method.SRL, Hyper(extra={"drift": 0.1}))
     with pytest.raises(InvalidValue, match=r"^extra drift: no choice has options"):
-        make_agent(AgentConfig()).with_extra(hyper)
+        agents.validate(make_agent(AgentConfig()), hyper)
 
 
 def test_an_option_is_traced():

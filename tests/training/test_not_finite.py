@@ -10,7 +10,7 @@ import pytest
 from device_toy import CONFIG, HYPER, LOOP
 from toy import ToyPool
 
-from hitl_jax import boundary
+from hitl_jax import arbiter, boundary
 from hitl_jax.config import Method, hyper_for
 from hitl_jax.envs import Command
 from hitl_jax.envs.jax_pool import JaxPool
@@ -20,7 +20,6 @@ from hitl_jax.evaluation.trials import evaluate_runs
 from hitl_jax.learner import frame, losses, replay
 from hitl_jax.results.episode_measures import NOT_FINITE, num_lost
 from hitl_jax.team import agent as agents
-from hitl_jax.team import arbiter
 from hitl_jax.training import host_stage, rollout
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import FinishedRun, Run, RunSpec
