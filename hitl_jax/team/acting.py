@@ -129,10 +129,8 @@ def act(
     hyper, observation = traced(agent.with_extra(hyper)), as_float32(observation)
     key, noise_key, warmup_key, boundary_key, human_key, source_key = jax.random.split(state.key, 6)
 
-    noise, machine_action = _explore(agent, hyper, params.actor, state, observation, noise_key)
-    random_action = jax.random.uniform(warmup_key, machine_action.shape, jnp.float32, -1.0, 1.0)
-    machine_action = jnp.where(acts_at_random(hyper, state.steps), random_action, machine_action)
-
+    noise, action = _explore(agent, hyper, params.actor, state, observation, noise_key)
+    machine_action = _or_random(hyper, state, action, warmup_key)
     boundary_now = _boundary(agent, hyper, params.boundary_actor, state, observation, boundary_key)
     human_state, dangerous = agent.human.judge(
         state.human, hyper.human, observation, jnp.zeros((), bool), human_key
@@ -264,6 +262,14 @@ def following(
     )
     after = jnp.clip(after, hyper.boundary_low, hyper.boundary_high)
     return jnp.where(hyper.learns_boundary > 0, after, boundary_now)
+
+
+def _or_random(
+    hyper: RunHyper, state: ActingState, action: chex.Array, key: chex.PRNGKey
+) -> chex.Array:
+    """The action, or a uniformly random one where the run is in its warm-up, [A]."""
+    random_action = jax.random.uniform(key, action.shape, jnp.float32, -1.0, 1.0)
+    return jnp.where(acts_at_random(hyper, state.steps), random_action, action)
 
 
 def _explore(
