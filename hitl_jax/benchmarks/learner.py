@@ -11,8 +11,8 @@ import numpy as np
 from hitl_jax.benchmarks.timing import best
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.learner import replay
-from hitl_jax.results.episode_measures import Row
 from hitl_jax.learner.deterministic import DeterministicActorCritic
+from hitl_jax.results.episode_measures import Row
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training import batch_arrays, compiled_batch
 from hitl_jax.training.run_spec import LoopConfig, num_slots

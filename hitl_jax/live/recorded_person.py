@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from hitl_jax.config import require_trusted_choices, AgentConfig, Hyper
+from hitl_jax.config import AgentConfig, Hyper, require_trusted_choices
 from hitl_jax.errors import InvalidValue
 from hitl_jax.human.fit import FittedHuman, fit_human
 from hitl_jax.human.indicator import hull_angle, weighted
