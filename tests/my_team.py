@@ -78,7 +78,7 @@ class Poles(CheckedPool):
             self._state[walker] = rng.uniform(-0.3, 0.3), 0.0, 0.0
         moving = command == Command.STEP
         tilt, speed, age = self._state[moving].T
-        speed = speed + 0.05 * action[moving, 0] + 0.05 * tilt
+        speed = speed + 0.01 * action[moving, 0] + 0.005 * tilt
         self._state[moving] = np.stack([tilt + speed, speed, age + 1], axis=1)
 
     def _finish(self, command):
