@@ -19,7 +19,7 @@ from hitl_jax.walker.gpu.four_threads import sincos as other_sincos
 from hitl_jax.walker.gpu.four_threads import solver as four_threads
 from hitl_jax.walker.gpu.four_threads.thread import ExchangingThreadWriter
 from hitl_jax.walker.gpu.jaxpr_to_ptx import ThreadWriter
-from hitl_jax.walker.physics import contact_solver, ground, impacts, joints, world
+from hitl_jax.walker.physics import contact_solver, ground, impacts, island, joints, world
 from hitl_jax.walker.physics.boxes import Boxes, NearbyGround
 from hitl_jax.walker.physics.contacts import match_impulses
 from hitl_jax.walker.physics.manifolds import touching_first
@@ -107,19 +107,25 @@ def _is_as_on_a_cpu(function, args):
     expected = jax.jit(function)(*args)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gpu, "on_gpu", lambda: True)
-        for module in (world, four_threads):
+        for module in (island, four_threads):
             patch.setattr(module, "as_kernel", _emulated)
         got = function(*args)
     _are_close(got, expected)
 
 
+def _speeds(world):
+    return Speeds(world.velocity, world.spin)
+
+
 def test_velocity_iterations(now, version):
     before, _, _, contacts, joint, constraints = now
     assert contacts.touching[:, 1::2].any()
-    _is_as_on_a_cpu(world._solve_velocities, (before, joint, constraints, contacts))
+    _is_as_on_a_cpu(
+        island.solve_velocities, (_speeds(before), before.impulses, joint, constraints, contacts)
+    )
 
 
-def test_velocity_rounds_with_contacts_of_all_parts(now, version):
+def test_velocity_iterations_with_contacts_of_all_parts(now, version):
     """Also where a walker touches with its thighs, and with more than two edges."""
     before, _, _, contacts, joint, constraints = now
     everywhere = jax.tree.map(
@@ -131,7 +137,9 @@ def test_velocity_rounds_with_contacts_of_all_parts(now, version):
         (constraints.matrix, constraints.inverse),
     )
     constraints = contact_solver.ContactConstraints(constraints.inverse_masses, points, *matrices)
-    _is_as_on_a_cpu(world._solve_velocities, (before, joint, constraints, contacts))
+    _is_as_on_a_cpu(
+        island.solve_velocities, (_speeds(before), before.impulses, joint, constraints, contacts)
+    )
 
 
 def _on_stairs(near, place):
@@ -156,7 +164,7 @@ def test_where_parts_touch(now, neighbours, hardcore):
 
 def test_position_iterations(now, version):
     before, _, manifold, _, joint, _ = now
-    _is_as_on_a_cpu(world._solve_positions, (before.place, before.angle, joint.side, manifold))
+    _is_as_on_a_cpu(island.solve_positions, (before.place, before.angle, joint.side, manifold))
 
 
 def test_position_rounds_of_a_walker_out_of_joint(now, version):
@@ -166,7 +174,7 @@ def test_position_rounds_of_a_walker_out_of_joint(now, version):
     shift[[1, 4], 0] = 0.2, -0.1
     place = Vec(before.place.x + shift, before.place.y)
     angle = before.angle + shift
-    _is_as_on_a_cpu(world._solve_positions, (place, angle, joint.side, manifold))
+    _is_as_on_a_cpu(island.solve_positions, (place, angle, joint.side, manifold))
 
 
 @pytest.mark.parametrize(
