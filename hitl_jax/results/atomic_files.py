@@ -71,7 +71,7 @@ def read_bytes(path: pathlib.Path, at_most: int = LARGEST, follow: bool = True) 
 
 
 def write_text_atomic(path: pathlib.Path, text: str) -> None:
-    """Writes a text in UTF-8, with "?" for what is no character; see `write_bytes_atomic`."""
+    """Writes a text in UTF-8, "?" for invalid characters; see `write_bytes_atomic`."""
     write_bytes_atomic(path, text.encode(errors="replace"))
 
 
@@ -321,7 +321,7 @@ def _removed_on_errors(temporary: pathlib.Path) -> Iterator[pathlib.Path]:
 
 @contextlib.contextmanager
 def _locked_while_written(descriptor: int) -> Iterator[None]:
-    """Locks what is written, so that `remove_leftovers` of other processes leaves it; closes it."""
+    """Locks a temporary file against `remove_leftovers` of other processes, and closes it."""
     try:
         with contextlib.suppress(OSError):  # A disk without locks: others cannot lock either.
             fcntl.flock(descriptor, fcntl.LOCK_EX)

@@ -1,4 +1,4 @@
-"""The files of one finished run: what is written into them, and how each is read and checked.
+"""Writes the content of a finished run's files, and reads and checks each of them.
 
 A run's folder is `runs/<method>/seed-<seed>/` of a results folder; `ResultsFolder` writes and reads
 whole runs with the functions here. Nothing here imports JAX.

@@ -18,7 +18,7 @@ _SCRIPT = pathlib.Path(__file__).parents[1] / "gpu_programs.py"
 )
 @pytest.mark.parametrize(
     ("version", "host_waits", "most"),
-    # Number of conditions for which the GPU host_waits for the host: whether a walker is reset, or none.
+    # Conditions for which the GPU waits for the host: whether a walker is reset, or none.
     [("one_thread", 1, (110, 130, 120)), ("four_threads", 0, (80, 110, 90))],
 )
 def test_programs_compile_for_a_gpu(version, host_waits, most):
@@ -31,5 +31,5 @@ def test_programs_compile_for_a_gpu(version, host_waits, most):
     assert list(told) == ["a tick", "a tick on hardcore terrain", "a chunk"]
     # Each kernel takes some 2 µs to start: they are few.
     for counts, limit in zip(told.values(), most, strict=True):
-        assert counts["host_waits"] == host_waits
+        assert counts["waits"] == host_waits
         assert counts["kernels"] <= limit

@@ -98,8 +98,8 @@ def step(world: World, speed: jax.Array, torque: jax.Array, terrain: Terrain) ->
     )
     ended = pose(place, angle)
     near = ground.near_parts(terrain, legs_left(legs_of(ended)))
-    meets = may_touch(legs_of(ended), near)
-    moved = apply_to_subset(meets, impacts.solve_impacts, moved, near, parts=_PARTS)
+    may_impact = may_touch(legs_of(ended), near)
+    moved = apply_to_subset(may_impact, impacts.solve_impacts, moved, near, parts=_PARTS)
     fallen |= _hull_touches(ended, terrain, TOUCHING_DISTANCE)
     return World(
         place=with_hull(place, moved.sweep.end_place),
@@ -155,10 +155,10 @@ def _hull_touches(bodies: Pose, terrain: Terrain, distance: float) -> jax.Array:
     above = dot(up, corners - edges.start).min(0)
     beside = jnp.minimum(dot(normals, edges.start - corners), dot(normals, edges.end - corners))
     apart = jnp.maximum(above, beside.max(0))
-    meets = ((apart <= distance) & edges.exist).any(0)
+    touches = ((apart <= distance) & edges.exist).any(0)
     if near.boxes is None:
-        return meets
+        return touches
     others = near.boxes.corners
     beside = dot(normals[:, None], others - corners[:, None]).min(1).max(0)
     apart = jnp.maximum(near.boxes.separation(corners), beside)
-    return meets | ((apart <= distance) & near.boxes.exist).any(0)
+    return touches | ((apart <= distance) & near.boxes.exist).any(0)
