@@ -81,12 +81,12 @@ class JaxPool(CheckedPool):
             [leaf[: block.stop - block.start] for leaf in jax.tree.leaves(jax.device_get(step))]
             for block, step in zip(self.blocks, self._steps, strict=True)
         ]
-        seen, reward, terminated, truncated = (
+        observation, reward, terminated, truncated = (
             np.concatenate(leaves) for leaves in zip(*results, strict=True)
         )
         stepped = command == Command.STEP
         moved = command != Command.IDLE
-        self._observation = np.where(moved[:, None], seen, self._observation)
+        self._observation = np.where(moved[:, None], observation, self._observation)
         return StepBatch(
             self._observation.copy(),
             np.where(stepped, reward, np.float32(0)),

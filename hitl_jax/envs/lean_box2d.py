@@ -152,7 +152,7 @@ class Box2dWalker:
         self._build_ground(drawn.heights, drawn.boxes)
         self._build_body()
         self.hull.ApplyForceToCenter((drawn.push, 0), True)
-        # The world keeps no reference of its own to its listener.
+        # The world keeps no reference to its listener: it would be garbage collected.
         self.contacts = _GroundContacts(self.hull, self.legs)
         self._world.contactListener = self.contacts
         self._feet = [int(shin.this) for shin in self.legs[1::2]]

@@ -98,19 +98,23 @@ class OfficialWalkers:
     def _trial(self, env: gymnasium.Env, seed: int) -> np.ndarray:
         """Plays the beginning of an episode; rows of `_row`, float64 [steps, O + 3]."""
         rng = np.random.default_rng(0)
-        seen, _ = env.reset(seed=seed)
-        rows = [self._row(seen, 0.0, False, False)]
+        observation, _ = env.reset(seed=seed)
+        rows = [self._row(observation, 0.0, False, False)]
         while len(rows) <= _TRIAL_STEPS and not rows[-1][-2:].any():
             action = rng.uniform(-1, 1, self.action_size).astype(np.float32)
             rows.append(self._row(*env.step(self._scaled(action))[:4]))
         return np.array(rows)
 
-    def _row(self, seen: Any, reward: Any, terminated: bool, truncated: bool) -> np.ndarray:
+    def _row(self, observation: Any, reward: Any, terminated: bool, truncated: bool) -> np.ndarray:
         """Observation, reward and flags as one array [O + 3]; checks the observation's shape."""
-        if np.shape(seen) != (self.observation_size,):
+        if np.shape(observation) != (self.observation_size,):
             expected = f"its space says {(self.observation_size,)}"
-            raise Unplayable(self._env_id, f"an observation has shape {np.shape(seen)}: {expected}")
-        return np.array([*seen, np.asarray(reward).item(), terminated, truncated], np.float64)
+            raise Unplayable(
+                self._env_id, f"an observation has shape {np.shape(observation)}: {expected}"
+            )
+        return np.array(
+            [*observation, np.asarray(reward).item(), terminated, truncated], np.float64
+        )
 
 
 def _make(env_id: str) -> gymnasium.Env:

@@ -5,30 +5,25 @@ workers again and plays their episodes up to the tick (`_restart_and_repeat`).
 """
 
 import contextlib
-import dataclasses
 import logging
 import os
-import select
-import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
-from typing import IO, NoReturn, TypeVar
+from typing import NoReturn, TypeVar
 
 import numpy as np
 
 from hitl_jax.envs.base import CheckedPool, Command, StepBatch
 from hitl_jax.envs.episode_log import EpisodeLog, playback
-from hitl_jax.envs.interpreter import child_interpreter
 from hitl_jax.envs.shared import REASON_BYTES, SIZES, map_arrays, num_bytes
+from hitl_jax.envs.worker_process import CLOSE_SECONDS, WorkerProcess, launch
 from hitl_jax.errors import Unplayable, WalkerError
 
-_CLOSE_SECONDS = 5.0
 _DEATH_CHECK_SECONDS = 0.1
 """How often a pool that waits for an answer looks whether a worker has died."""
-_LOG_BYTES = 8192
 _ATTEMPTS = 5
 """How often a tick is tried in which workers are killed; some walkers kill theirs each time."""
 
@@ -36,57 +31,9 @@ _logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-# A walker is one thread; a worker's BLAS must not start more and take the learner's cores.
-_WORKER_ENVIRONMENT = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "PYGAME_HIDE_SUPPORT_PROMPT": "1",
-    "SDL_VIDEODRIVER": "dummy",
-}
-
 
 class _WorkerKilled(WalkerError):
     """A worker was killed by a signal: the same tick may succeed when it is tried again."""
-
-
-@dataclasses.dataclass(frozen=True)
-class _Worker:
-    """A worker process and the pool's ends of its pipes.
-
-    Attributes:
-        index: of the worker, from 0.
-        process: a byte on its stdin starts a tick; when stdin closes, the process ends. The pool
-            holds the first worker's stdin alone: each worker wakes the next.
-        reply: file descriptor on which it answers.
-        log: its stdout and stderr; read only if it fails.
-        poll: waits for bytes on `reply`.
-    """
-
-    index: int
-    process: subprocess.Popen[bytes]
-    reply: int
-    log: IO[bytes]
-    poll: select.poll
-
-    def has_answered(self, seconds: float) -> bool:
-        """Waits some seconds for an answer; also true when its end of the pipe is closed."""
-        return bool(self.poll.poll(1000 * seconds))
-
-    def how_it_ended(self) -> str:
-        """How the process ended, in one line."""
-        try:
-            code = self.process.wait(_CLOSE_SECONDS)
-        except subprocess.TimeoutExpired:
-            return "closed its pipe"
-        if code < 0:
-            return f"was killed by {signal.Signals(-code).name}"
-        return ": ".join([f"exited with {code}", *self.log_end().splitlines()[-1:]])
-
-    def log_end(self) -> str:
-        """The last bytes of its log."""
-        self.log.seek(max(0, os.fstat(self.log.fileno()).st_size - _LOG_BYTES))
-        return self.log.read().decode(errors="replace").strip()
 
 
 class WorkerPool(CheckedPool):
@@ -124,7 +71,7 @@ class WorkerPool(CheckedPool):
         self._names = (backend, env_id)
         self._numbers = (num_walkers, num_workers)
         self._start_seconds = start_seconds
-        self._workers: list[_Worker] = []
+        self._workers: list[WorkerProcess] = []
         self._memory = _anonymous_file()
         try:
             sizes = self._try_again_if_killed(self._launch_all)
@@ -195,14 +142,14 @@ class WorkerPool(CheckedPool):
         self._start(command, action, seed)
         self._await_replies(1)
 
-    def _try_again_if_killed(self, launch: Callable[[], T]) -> T:
+    def _try_again_if_killed(self, attempt: Callable[[], T]) -> T:
         """Calls a function that launches the workers; again if one is killed meanwhile."""
         for _ in range(_ATTEMPTS - 1):
             try:
-                return launch()
+                return attempt()
             except _WorkerKilled as error:
                 self._end_others_of_killed(error)
-        return launch()
+        return attempt()
 
     def _end_others_of_killed(self, error: _WorkerKilled) -> None:
         """Ends the workers that are left, to start all again."""
@@ -223,7 +170,7 @@ class WorkerPool(CheckedPool):
         # the first alone: else that one could take the pool's core before the second is woken.
         for index in reversed(range(num_workers)):
             following = self._workers[0].process.stdin if self._workers else None
-            worker = _launch(*self._names, self._memory, num_walkers, index, num_workers, following)
+            worker = launch(*self._names, self._memory, num_walkers, index, num_workers, following)
             self._workers.insert(0, worker)
             if following is not None:
                 following.close()
@@ -253,7 +200,9 @@ class WorkerPool(CheckedPool):
         ]
         return answers[::-1]
 
-    def _reply_unless_a_worker_died(self, worker: _Worker, size: int, deadline: float) -> bytes:
+    def _reply_unless_a_worker_died(
+        self, worker: WorkerProcess, size: int, deadline: float
+    ) -> bytes:
         """Waits for one worker's answer; here, and nowhere else, a dead worker is noticed.
 
         There are two signs: the awaited worker's pipe is closed, so that a read gives no bytes; or
@@ -285,7 +234,7 @@ class WorkerPool(CheckedPool):
             self._raise_for_dead(worker)
         return answer
 
-    def _raise_for_dead(self, worker: _Worker) -> NoReturn:
+    def _raise_for_dead(self, worker: WorkerProcess) -> NoReturn:
         """Raises for a worker whose process has ended."""
         ending = worker.how_it_ended()
         if worker.process.returncode == 0 and worker.index > 0:
@@ -303,7 +252,7 @@ class WorkerPool(CheckedPool):
         raise error
 
     def _shutdown(self) -> None:
-        self._end_workers(_CLOSE_SECONDS)
+        self._end_workers(CLOSE_SECONDS)
         os.close(self._memory)
 
     def _end_workers(self, seconds: float = 0.0) -> None:
@@ -320,47 +269,6 @@ class WorkerPool(CheckedPool):
             os.close(worker.reply)
             worker.log.close()
         self._workers = []
-
-
-def _launch(
-    backend: str,
-    env_id: str,
-    memory: int,
-    num_walkers: int,
-    index: int,
-    num_workers: int,
-    following: IO[bytes] | None,
-) -> _Worker:
-    """Starts a worker's process, and does not wait for it.
-
-    It is a new interpreter: a fork would copy a process with JAX's threads, and `multiprocessing`
-    would import the user's main module again. Warnings at its imports do not reach the terminal.
-    """
-    log = tempfile.TemporaryFile()  # noqa: SIM115, the pool closes it
-    reply, answer = os.pipe()
-    wakes = [] if following is None else [following.fileno()]
-    numbers = (memory, answer, num_walkers, index, num_workers, *wakes)
-    python, environment = child_interpreter()
-    command = [*python, "-W", "ignore", "-X", "faulthandler", "-m", "hitl_jax.envs.worker"]
-    try:
-        process = subprocess.Popen(
-            [*command, backend, env_id, *map(str, numbers)],
-            bufsize=0,
-            stdin=subprocess.PIPE,
-            stdout=log,
-            stderr=log,
-            pass_fds=(memory, answer, *wakes),
-            env={**environment, **_WORKER_ENVIRONMENT},
-        )
-    except BaseException:
-        os.close(reply)
-        log.close()
-        raise
-    finally:
-        os.close(answer)
-    poll = select.poll()
-    poll.register(reply, select.POLLIN)
-    return _Worker(index, process, reply, log, poll)
 
 
 def _anonymous_file() -> int:

@@ -1,10 +1,10 @@
-"""Files that are there whole or not at all.
+"""Writes files and folders atomically, and locks a folder for one writer.
 
-What is written gets a temporary name beside its final one, is flushed to the disk, and renamed.
-Temporary names are drawn at random, and locked while they are written. A killed process can leave
-some behind: readers ignore them, and `remove_leftovers` removes those that nobody has locked. Locks
-are the operating system's (`flock`): they end with the process, however that ends, and hold between
-containers that share a disk.
+A file is written under a random temporary name beside its final name, flushed to the disk, and
+renamed; it is locked while it is written. A killed process can leave temporary files: readers
+ignore them, and `remove_leftovers` removes those that no process has locked. Locks are the
+operating system's (`flock`): they end with their process, and hold between containers that share a
+disk.
 """
 
 import contextlib
@@ -24,33 +24,32 @@ from collections.abc import Iterator, Mapping
 from hitl_jax.errors import ResultsError
 
 TEMPORARY = ".tmp-"
-"""How temporary names begin."""
-_OURS = re.compile(re.escape(TEMPORARY) + "[0-9a-f]{16}")
-"""Temporary names, whole."""
+"""Beginning of temporary names."""
+_TEMPORARY_NAME = re.compile(re.escape(TEMPORARY) + "[0-9a-f]{16}")
 
 LOCK = ".lock"
-"""Name of the file that a folder's one writer holds."""
-
+"""Name of the file that a folder's writer keeps locked."""
 
 LARGEST = 4 * 2**30
-"""Of a file that is read [bytes]."""
+"""Largest file that is read [bytes]."""
 
 _LONGEST_REASON = 300
+"""Longest error in a message [characters]."""
 
 _held: dict[pathlib.Path, int] = {}
-"""The folders that this process has locked, and the descriptors of their locks."""
+"""Descriptors of the locks that this process holds, by folder."""
 
 
 def read_bytes(path: pathlib.Path, at_most: int = LARGEST, follow: bool = True) -> bytes:
-    """What a plain file holds; a pipe or a device is refused, and not waited for.
+    """Reads a plain file; refuses a pipe or a device without waiting for it.
 
     Args:
-        path: the file.
-        at_most: bytes; a larger file is refused.
-        follow: whether it may be a link to the file.
+        path: of the file.
+        at_most: largest allowed size [bytes].
+        follow: whether a symbolic link is followed; else it is refused.
 
     Raises:
-        ResultsError: if it cannot be read, or is none.
+        ResultsError: if it cannot be read, is too large, or is no plain file.
     """
     flags = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | (0 if follow else os.O_NOFOLLOW)
     with named_errors(path):
@@ -72,19 +71,21 @@ def read_bytes(path: pathlib.Path, at_most: int = LARGEST, follow: bool = True) 
 
 
 def write_text_atomic(path: pathlib.Path, text: str) -> None:
-    """Writes a text so that `path` holds the old one or the whole new one, never a part.
-
-    In UTF-8, whatever the locale; "?" for what is no character, as in a folder's name that is not
-    text.
-
-    Raises:
-        ResultsError: if it cannot be written.
-    """
+    """Writes a text in UTF-8, "?" for invalid characters; see `write_bytes_atomic`."""
     write_bytes_atomic(path, text.encode(errors="replace"))
 
 
 def write_bytes_atomic(path: pathlib.Path, data: bytes, mode: int = 0o666) -> None:
-    """Writes bytes as `write_text_atomic` writes text; `mode` says who may read a new file."""
+    """Writes bytes so that `path` always holds the whole old or the whole new ones.
+
+    Args:
+        path: of the file.
+        data: its content.
+        mode: permissions of the new file, before the umask.
+
+    Raises:
+        ResultsError: if it cannot be written.
+    """
     require_held(path)
     with named_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -95,10 +96,10 @@ def write_bytes_atomic(path: pathlib.Path, data: bytes, mode: int = 0o666) -> No
 
 
 def write_folder_atomic(path: pathlib.Path, contents: Mapping[str, bytes]) -> None:
-    """Makes a folder with its files, all or nothing.
+    """Makes a folder with all its files, or nothing.
 
     Args:
-        path: the folder, not there yet.
+        path: of the folder, which must not exist.
         contents: bytes by file name.
 
     Raises:
@@ -118,15 +119,15 @@ def write_folder_atomic(path: pathlib.Path, contents: Mapping[str, bytes]) -> No
 
 @contextlib.contextmanager
 def locked(folder: pathlib.Path) -> Iterator[None]:
-    """Keeps a folder for this process alone; makes it if it is not there.
+    """Locks a folder for this process while the context lasts; makes it if it does not exist.
 
-    The file `LOCK` that a killed process leaves behind keeps nobody out. It says who is at work.
-    What this process writes below the folder from then on is refused once the folder's name leads
-    to another one (see `require_held`).
+    The file `LOCK` in it names the process. A file that a killed process left is no obstacle. While
+    the lock is held, writing below the folder is refused if the folder was moved or replaced (see
+    `require_held`).
 
     Raises:
-        ResultsError: if another process has the folder, naming it; if its lock is a link, or no
-            file; or if the folder refuses.
+        ResultsError: if another process has locked the folder (the message names it), if `LOCK` is
+            a link or no file, or if the folder cannot be written.
     """
     path = folder / LOCK
     with named_errors(folder):
@@ -145,20 +146,22 @@ def locked(folder: pathlib.Path) -> Iterator[None]:
         yield
     finally:
         _held.pop(name, None)
-        with contextlib.suppress(OSError):  # What led here says more.
-            if is_there(path, descriptor):  # Not another's, in a folder that was made anew.
+        with contextlib.suppress(OSError):  # An error from above says more.
+            if is_there(
+                path, descriptor
+            ):  # Not another process's lock, in a new folder of this name.
                 path.unlink()
         os.close(descriptor)
 
 
 def require_held(path: pathlib.Path) -> None:
-    """To be called before anything is changed in a folder that may be locked by this process.
+    """Checks that a folder that this process has locked is still the one at its path.
 
     Args:
-        path: what is to be changed.
+        path: of what the caller is about to change.
 
     Raises:
-        ResultsError: if the folder was moved away since it was locked, or made anew.
+        ResultsError: if the folder was moved or replaced since it was locked.
     """
     for folder, descriptor in _held.items():
         if path.absolute().is_relative_to(folder) and not is_there(folder / LOCK, descriptor):
@@ -169,7 +172,7 @@ def require_held(path: pathlib.Path) -> None:
 
 
 def is_there(path: pathlib.Path, descriptor: int) -> bool:
-    """Whether an open file is the one of this name."""
+    """Whether the file at a path is the open one."""
     try:
         return os.path.samestat(os.fstat(descriptor), path.lstat())
     except OSError:
@@ -177,7 +180,7 @@ def is_there(path: pathlib.Path, descriptor: int) -> bool:
 
 
 def _open_lock(path: pathlib.Path) -> int:
-    """A descriptor of the lock, which this process alone holds."""
+    """Opens and locks the lock file; returns its descriptor."""
     while True:
         descriptor = open_plain(path, os.O_RDWR | os.O_CREAT, "remove it")
         try:
@@ -191,23 +194,26 @@ def _open_lock(path: pathlib.Path) -> int:
         except BaseException:
             os.close(descriptor)
             raise
-        # Its owner may have removed the file between our two calls; then it locks nothing.
+        # Its owner may have removed the file between open and flock; then our lock is void.
         if is_there(path, descriptor):
             return descriptor
         os.close(descriptor)
 
 
 def open_plain(path: pathlib.Path, flags: int, advice: str) -> int:
-    """A descriptor to write with, of a file that nobody has by another name or by a link.
+    """Opens a plain file that has no other name (hard link) and is no symbolic link.
 
     Args:
-        path: the file.
+        path: of the file.
         flags: of `os.open`.
-        advice: what to do with another kind of file.
+        advice: what the user can do with another kind of file, for the message.
+
+    Returns:
+        Its descriptor.
 
     Raises:
-        ResultsError: if it is something else.
-        OSError: if the system refuses.
+        ResultsError: if it is another kind of file.
+        OSError: if it cannot be opened.
     """
     try:
         flags |= os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
@@ -228,9 +234,9 @@ def _not_plain(path: pathlib.Path, advice: str) -> ResultsError:
 
 
 def remove_leftovers(folder: pathlib.Path) -> None:
-    """Removes the temporary files and folders below a folder that nobody is writing any more."""
+    """Removes temporary files and folders below a folder that no process is writing."""
     for path in list(folder.rglob(TEMPORARY + "*")):
-        if not _OURS.fullmatch(path.name) or path.is_symlink():
+        if not _TEMPORARY_NAME.fullmatch(path.name) or path.is_symlink():
             continue
         with contextlib.suppress(OSError):
             descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
@@ -246,7 +252,7 @@ def remove_leftovers(folder: pathlib.Path) -> None:
 
 @contextlib.contextmanager
 def named_errors(path: pathlib.Path) -> Iterator[None]:
-    """Turns errors of files and of what they hold into one line that names `path`."""
+    """Turns errors of reading, writing or parsing into a ResultsError of one line with `path`."""
     try:
         yield
     except ResultsError:
@@ -260,40 +266,41 @@ def named_errors(path: pathlib.Path) -> Iterator[None]:
 
 
 def one_line(error: Exception) -> str:
-    """What an error says in one line, without what a terminal would obey."""
+    """An error's message in one line, without control characters, which a terminal would obey."""
     line = " ".join(str(error).split())
     line = "".join(character if character.isprintable() else "?" for character in line)
     return line if len(line) <= _LONGEST_REASON else f"{line[:_LONGEST_REASON]} …"
 
 
 def _temporary(path: pathlib.Path) -> pathlib.Path:
+    """A random temporary name beside a path."""
     return path.with_name(TEMPORARY + secrets.token_hex(8))
 
 
 @contextlib.contextmanager
 def _temporary_file(path: pathlib.Path, mode: int) -> Iterator[tuple[pathlib.Path, int]]:
-    """A new, locked file beside a name, and its descriptor; removed if it is not renamed."""
+    """A new, locked file beside a path, and its descriptor; removed after an error."""
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     while True:
         with _removed_on_errors(_temporary(path)) as temporary:
             descriptor = os.open(temporary, flags, mode)
-            with _locked_as_ours(descriptor):
-                if is_there(temporary, descriptor):  # Not removed before it was locked.
+            with _locked_while_written(descriptor):
+                if is_there(temporary, descriptor):  # Another process may have removed it first.
                     yield temporary, descriptor
                     return
 
 
 @contextlib.contextmanager
 def _temporary_folder(path: pathlib.Path) -> Iterator[pathlib.Path]:
-    """A new, locked folder beside a name; removed if it is not renamed."""
+    """A new, locked folder beside a path; removed after an error."""
     while True:
         with _removed_on_errors(_temporary(path)) as temporary:
             temporary.mkdir()
             try:
                 descriptor = os.open(temporary, os.O_RDONLY | os.O_CLOEXEC)
-            except FileNotFoundError:  # Removed before it was locked.
+            except FileNotFoundError:  # Another process removed it before the lock.
                 continue
-            with _locked_as_ours(descriptor):
+            with _locked_while_written(descriptor):
                 if is_there(temporary, descriptor):
                     yield temporary
                     return
@@ -301,6 +308,7 @@ def _temporary_folder(path: pathlib.Path) -> Iterator[pathlib.Path]:
 
 @contextlib.contextmanager
 def _removed_on_errors(temporary: pathlib.Path) -> Iterator[pathlib.Path]:
+    """Removes a temporary file or folder after an error."""
     try:
         yield temporary
     except BaseException:
@@ -312,10 +320,10 @@ def _removed_on_errors(temporary: pathlib.Path) -> Iterator[pathlib.Path]:
 
 
 @contextlib.contextmanager
-def _locked_as_ours(descriptor: int) -> Iterator[None]:
-    """Keeps `remove_leftovers` of other processes away."""
+def _locked_while_written(descriptor: int) -> Iterator[None]:
+    """Locks a temporary file against `remove_leftovers` of other processes, and closes it."""
     try:
-        with contextlib.suppress(OSError):  # A disk without locks: they cannot lock either.
+        with contextlib.suppress(OSError):  # A disk without locks: others cannot lock either.
             fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield
     finally:
@@ -323,13 +331,14 @@ def _locked_as_ours(descriptor: int) -> Iterator[None]:
 
 
 def _write_synced(descriptor: int, data: bytes) -> None:
+    """Writes bytes and flushes them to the disk."""
     with open(descriptor, "wb", closefd=False) as file:
         file.write(data)
     os.fsync(descriptor)
 
 
 def _sync_folder(path: pathlib.Path) -> None:
-    """Makes a rename in this folder survive a loss of power."""
+    """Flushes a folder's names to the disk, so that a rename survives a loss of power."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

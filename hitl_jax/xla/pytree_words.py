@@ -19,7 +19,7 @@ from hitl_jax.xla.threefry import wrap_key
 _LARGE = 8192
 """A leaf of at least so many words is a piece by itself: with 32 kB the cost of a piece is small.
 
-The order of the words depends on it, so a change of it needs a new format of saved runs."""
+The order of the words depends on it: a change needs a new `training.saved_run_store.FORMAT`."""
 
 
 def pack(tree: chex.ArrayTree) -> chex.Array:

@@ -1,4 +1,4 @@
-"""EnvPool behind the interface of all pools, against raw EnvPool."""
+"""The pool of EnvPool's walkers gives what EnvPool itself gives."""
 
 import importlib.util
 import sys
@@ -13,7 +13,7 @@ needs_envpool = pytest.mark.skipif(
     importlib.util.find_spec("envpool") is None, reason="needs the extra `fast`"
 )
 
-# Of EnvPool's own making of some spaces.
+# EnvPool warns when it makes some spaces.
 narrows = pytest.mark.filterwarnings("ignore:.*precision lowered by casting:UserWarning")
 
 
@@ -33,8 +33,8 @@ def test_envpool_missing(monkeypatch):
 
 
 @needs_envpool
-def test_envpool_is_raw_envpool_until_a_human_resets():
-    """Random play; an ended walker is RESET in the tick in which raw EnvPool resets it itself."""
+def test_envpool_pool_equals_envpool_until_a_human_resets():
+    """Random actions; an ended walker is RESET in the tick in which EnvPool itself resets it."""
     rng = np.random.default_rng(0)
     raw = raw_envpool(4, seed=9)
     observation, _ = raw.reset()
@@ -54,8 +54,8 @@ def test_envpool_is_raw_envpool_until_a_human_resets():
 
 
 @needs_envpool
-def test_envpool_human_reset_and_idle_touch_nobody_else():
-    """Walker 0 plays on, as in raw EnvPool; 1 is reset at tick 20; 2 idles from tick 10 to 29."""
+def test_envpool_human_reset_and_idle_change_no_other_walker():
+    """Walker 0 steps as in EnvPool; 1 is reset at tick 20; 2 idles from tick 10 to 29."""
     action = np.full((3, 4), 0.2, np.float32)
     raw = raw_envpool(3, seed=2)
     raw.reset()

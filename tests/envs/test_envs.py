@@ -1,4 +1,4 @@
-"""The pools against a plain gymnasium loop, against each other, and when things go wrong."""
+"""Pools give what a plain gymnasium loop gives, and refuse bad ticks and arguments."""
 
 import os
 import subprocess
@@ -22,7 +22,7 @@ from hitl_jax.envs import BACKENDS, StepBatch, make_pool
 
 
 class PlainLoop:
-    """What a pool should do, said plainly: a new environment for each episode."""
+    """What a pool must do: a new gymnasium environment for each episode."""
 
     def __init__(self, env_id: str, num_walkers: int):
         self.env_id = env_id
@@ -44,7 +44,7 @@ class PlainLoop:
 
 
 class Script:
-    """Commands of some walkers, by who they are: seeds, actions, idle ticks and human resets."""
+    """Commands, seeds and actions of walkers by their numbers, with idle ticks and human resets."""
 
     def __init__(self, who: list[int]):
         self.who = who
@@ -61,7 +61,7 @@ class Script:
             if self.ended[i] or (w == 2 and ticks % 25 == 24):
                 command[i] = RESET
         self.episode += command == RESET
-        # Walkers 0 and 2 come back to the seeds that they have had.
+        # Each walker alternates between two seeds.
         seed = 100 * np.array(self.who) + self.episode % 2
         return command.astype(np.uint8), np.array(action, np.float32), seed.astype(np.uint32)
 
@@ -89,7 +89,7 @@ def plain() -> StepBatch:
 
 
 @pytest.mark.parametrize("backend", ["gymnasium", "lean"])
-def test_is_a_plain_loop_bit_for_bit(plain, backend):
+def test_a_pool_equals_a_plain_loop_to_the_last_bit(plain, backend):
     assert plain.terminated.sum() >= 3  # The script has falls, human resets and repeated seeds.
     assert (plain.reward[plain.terminated] == -100).all()
     with make_pool(backend, 5, 2) as pool:
@@ -99,14 +99,14 @@ def test_is_a_plain_loop_bit_for_bit(plain, backend):
 
 
 @pytest.mark.parametrize("backend", ["gymnasium", "lean"])
-def test_neither_workers_nor_place_nor_neighbours_matter(plain, backend):
+def test_episodes_depend_on_neither_workers_nor_other_walkers(plain, backend):
     with make_pool(backend, 3, 1) as pool:
         batch = play(pool, [4, 2, 0], 300)
     same(batch, StepBatch(*(array[:, [4, 2, 0]] for array in plain)))
 
 
-def test_an_episode_does_not_depend_on_those_before():
-    # In one gymnasium environment it does: seed 7 gives another first step the second time.
+def test_an_episode_does_not_depend_on_earlier_ones():
+    # In a reused gymnasium environment it does: seed 7 gives another first step the second time.
     rng = np.random.default_rng(0)
     actions = rng.uniform(-1, 1, (30, 1, 4))
 
@@ -142,7 +142,7 @@ def toys():
 
 
 def test_commands_and_flags(toys):
-    """Walker 0 always steps, 1 idles once, 2 is reset by a human, 3 and 4 stay out of it."""
+    """Walker 0 always steps, 1 idles once, 2 is reset by a human, 3 and 4 are always idle."""
     start = tick(toys, [RESET, RESET, RESET, IDLE, IDLE], 0.9, [10, 11, 2**32 - 1, 13, 14])
     assert [array.dtype for array in start] == [np.float32, np.float32, bool, bool]
     assert not start.reward.any()
@@ -162,21 +162,21 @@ def test_commands_and_flags(toys):
     assert (batch.terminated[0], batch.truncated[0], batch.observation[0, 1]) == (True, True, GOAL)
     np.testing.assert_array_equal(batch.observation[1:3], np.float32([[11, 4, -1], [22, 3, -1]]))
     assert not (batch.terminated | batch.truncated)[1:].any()
-    # No reset by itself: the final observation stays, the flags and the reward do not.
+    # There is no automatic reset: the final observation stays, flags and reward are 0.
     batch = tick(toys, [IDLE, STEP, STEP, IDLE, IDLE])
     assert (batch.observation[0, 1], batch.reward[0], batch.terminated[0]) == (GOAL, 0, False)
     with pytest.raises(ValueError, match=r"STEP of walker 0: not in an episode, RESET it first"):
         tick(toys, [STEP, STEP, STEP, IDLE, IDLE])
 
 
-def test_truncated_alone():
+def test_the_time_limit_truncates():
     with make_pool("gymnasium", 1, env_id="toy_envs:ShortToy-v0") as pool:
         tick(pool, RESET)
         flags = [tick(pool, STEP)[2:] for _ in range(3)]
     assert flags == [(False, False), (False, False), (False, True)]
 
 
-def test_the_arrays_are_the_callers(toys):
+def test_the_caller_may_change_all_arrays(toys):
     first = tick(toys, RESET, seed=1)
     command, action = np.full(5, STEP, np.uint8), np.full((5, 2), 0.5, np.float32)
     toys.send(command, action, np.zeros(5, np.uint32))
@@ -205,7 +205,7 @@ def test_a_tick_that_cannot_be_played(toys, arguments, line):
     tick(toys, RESET)
     with pytest.raises(ValueError, match=line):
         toys.step(*arguments)
-    # It changed nothing, and junk for a walker that does not step is no matter.
+    # The refused tick changed nothing; NaN actions of idle walkers are allowed.
     assert tick(toys, [STEP, *[IDLE] * 4], [[0.0] * 2, *[[np.nan] * 2] * 4]).observation[0, 1] == 1
 
 

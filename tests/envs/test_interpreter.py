@@ -1,4 +1,4 @@
-"""Child processes find what this process finds, whatever lies in the current folder."""
+"""Child processes import the modules of this process, whatever files are in the current folder."""
 
 import os
 import pathlib
@@ -30,8 +30,8 @@ sys.exit(main(["sweep", *sys.argv[1:]]))
 
 
 @pytest.fixture
-def evil(tmp_path, monkeypatch):
-    """The current folder: a file or a folder for each name, none of which may be imported."""
+def shadowing(tmp_path, monkeypatch):
+    """A current folder with a module of each name, none of which may be imported."""
     for number, name in enumerate(_NAMES):
         path = tmp_path / f"{name}.py"
         if number % 2:
@@ -50,14 +50,14 @@ def _child(program):
     return done.stdout.splitlines()
 
 
-@pytest.mark.usefixtures("evil")
+@pytest.mark.usefixtures("shadowing")
 def test_the_current_folder_shadows_nothing():
     program = f"import {', '.join(_NAMES[:3])}, hitl_jax; print(hitl_jax.__file__)"
     assert _child(program) == [hitl_jax.__file__]
 
 
 def test_folders_are_those_of_this_process(tmp_path, monkeypatch):
-    """First a folder that was added, then the current one; what is no string is left out."""
+    """An added folder comes before the current one; entries that are no strings are dropped."""
     (tmp_path / "added").mkdir()
     for folder in (tmp_path, tmp_path / "added"):
         (folder / "a_module_of_mine.py").write_text(f"print({str(folder)!r})")
@@ -75,8 +75,8 @@ def test_the_environment_is_a_copy(monkeypatch):
     assert os.environ["PYTHONPATH"] == "before"
 
 
-def test_a_sweep_beside_modules_of_the_same_names(evil):
-    """Its walkers' processes, and the drawing of figures, import the right ones."""
+def test_a_sweep_beside_modules_of_the_same_names(shadowing):
+    """The sweep's worker processes and its drawing process import the right modules."""
     words = ["--methods", "srl", "--seeds", "1", "--episodes", "2", "--test-episodes", "1"]
     words += ["--warmup-steps", "100", "--workers", "2", *small.OPTIONS, "--out", "results"]
     environment = {**os.environ, "PYTHONPATH": _CHECKOUT}
@@ -84,4 +84,4 @@ def test_a_sweep_beside_modules_of_the_same_names(evil):
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert "the drawing ended with 0" in done.stdout
-    assert (evil / "results" / "figures").is_dir()
+    assert (shadowing / "results" / "figures").is_dir()

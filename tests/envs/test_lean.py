@@ -1,4 +1,4 @@
-"""The lean walker against the official one: 200 whole episodes, equal to the last bit."""
+"""The lean walker equals gymnasium's to the last bit in 200 whole episodes."""
 
 import pathlib
 
@@ -13,7 +13,7 @@ RESULTS = pathlib.Path(__file__).parents[2] / "results"
 
 
 class RandomPlay:
-    """Uniform actions, some beyond the limits, which the walker clips."""
+    """Uniform actions, some outside [-1, 1], which the walker clips."""
 
     def __init__(self, walkers):
         self.rngs = [np.random.default_rng(walker) for walker in range(walkers)]
@@ -26,7 +26,7 @@ class RandomPlay:
 
 
 class ScriptedPlay:
-    """Gymnasium's own gait."""
+    """Gymnasium's scripted player."""
 
     def __init__(self, walkers):
         self.gaits = [None] * walkers
@@ -40,7 +40,7 @@ class ScriptedPlay:
 
 
 class TrainedPlay:
-    """The policy of a kept run."""
+    """The policy of a published run."""
 
     def __init__(self, walkers):
         self.params = np.load(sorted(RESULTS.glob("**/params.npz"))[0])
@@ -70,7 +70,7 @@ class TrainedPlay:
         (HARDCORE, ScriptedPlay, 10, 2),
     ],
 )
-def test_equals_the_official_walker_bit_for_bit(env_id, play, walkers, episodes):
+def test_lean_equals_gymnasium_to_the_last_bit(env_id, play, walkers, episodes):
     with (
         make_pool("lean", walkers, 2, env_id) as lean,
         make_pool("gymnasium", walkers, 2, env_id) as official,

@@ -1,4 +1,4 @@
-"""Environments of the user's own in a pool: played as they are, or refused in one line."""
+"""A user's own environments are played unchanged in a pool, or refused in one line."""
 
 import os
 import re
@@ -41,7 +41,7 @@ def plain_episode(env_id, seed, actions):
 
 
 def pool_episode(pool, seed, actions, kill_at=-1):
-    """The same of the only walker of a pool; its worker is killed before a step."""
+    """The same rows, from a pool of one walker; its worker is killed before step `kill_at`."""
     rows = []
     for number in range(len(actions) + 1):
         if number == kill_at:
@@ -61,8 +61,8 @@ def pool_episode(pool, seed, actions, kill_at=-1):
 
 
 @pytest.mark.parametrize("name", AS_THEY_ARE)
-def test_is_played_as_it_is(name, caplog):
-    """Seeds come again, in another order, and after a worker was killed: always the same bits."""
+def test_an_own_environment_is_played_unchanged(name, caplog):
+    """A seed's episode is equal to the last bit, in any order and after a worker was killed."""
     env_id = f"own_envs:{name}-v0"
     with make_pool("gymnasium", 1, env_id=env_id) as pool:
         rng = np.random.default_rng(0)
@@ -75,7 +75,7 @@ def test_is_played_as_it_is(name, caplog):
         assert "was killed by SIGKILL" in caplog.text
 
 
-def test_gravity_is_the_users():
+def test_the_users_gravity_is_used():
     actions = np.zeros((30, 4), np.float32)
     low = plain_episode("own_envs:LowGravity-v0", 3, actions)
     assert not np.array_equal(low, plain_episode("BipedalWalker-v3", 3, actions))
@@ -97,7 +97,7 @@ def test_gravity_is_the_users():
         ("Misshapen", r"an observation has shape \(1,\): its space says \(2,\)"),
     ],
 )
-def test_more_than_seed_and_actions_is_refused(name, reason):
+def test_episodes_that_depend_on_more_than_seed_and_actions_are_refused(name, reason):
     with pytest.raises(ValueError, match=f"^env_id 'own_envs:{name}-v0': {reason}") as caught:
         make_pool("gymnasium", 3, 2, f"own_envs:{name}-v0")
     assert "\n" not in str(caught.value)
@@ -107,7 +107,7 @@ def test_more_than_seed_and_actions_is_refused(name, reason):
 
 
 @pytest.mark.parametrize("name", BOXES)
-def test_all_of_the_box_is_reached(name):
+def test_actions_reach_all_of_the_box(name):
     box = BOXES[name]
     with make_pool("gymnasium", 2, 1, f"own_envs:{name}-v0") as pool:
         tick(pool, RESET)
@@ -169,7 +169,7 @@ def test_other_spaces_are_refused(name):
         (None, "must be a string"),
     ],
 )
-def test_a_name_that_is_not_known(env_id, line):
+def test_unknown_names_are_refused(env_id, line):
     with pytest.raises(ValueError, match=rf"^env_id {re.escape(repr(env_id))}: .*{line}") as caught:
         make_pool("gymnasium", 2, 2, env_id)
     assert "\n" not in str(caught.value)
@@ -194,7 +194,7 @@ with make_pool("gymnasium", 1, env_id={env_id!r}) as pool:
 
 
 def _run(words, folder):
-    """What a program of the user's says; the last line of its errors."""
+    """Runs a user's program; its output, and the last line of its errors."""
     path = os.pathsep.join(filter(None, sys.path))
     environment = {**os.environ, "PYTHONPATH": path}
     done = subprocess.run(
@@ -205,7 +205,7 @@ def _run(words, folder):
 
 @pytest.fixture
 def scripts(tmp_path):
-    """A folder of the user's, with a module of environments and scripts; another one beside it."""
+    """A user's folder with a module of environments and scripts, and another folder beside it."""
     mine, elsewhere = tmp_path / "mine", tmp_path / "elsewhere"
     mine.mkdir()
     elsewhere.mkdir()
@@ -232,7 +232,7 @@ def test_modules_beside_the_script_are_found(scripts):
     assert _run(["-c", _PLAY.format(env_id="twice:Mine-v0")], mine)[0] == "[[7.]]"
 
 
-def test_scripts_that_cannot_work_are_told_why(scripts):
+def test_scripts_that_cannot_work_get_a_reason(scripts):
     mine, elsewhere = scripts
     assert "name that too, 'module:Mine-v0'" in _run(["alone.py"], mine)[1]
     told = _run(["unguarded.py"], mine)[1]
@@ -243,7 +243,7 @@ def test_scripts_that_cannot_work_are_told_why(scripts):
     )
 
 
-def test_a_module_that_breaks_shows_where(scripts, monkeypatch):
+def test_an_error_in_a_module_shows_its_place(scripts, monkeypatch):
     monkeypatch.syspath_prepend(scripts[0])
     with pytest.raises(WalkerError, match="exited with 1: ZeroDivisionError: division") as caught:
         make_pool("gymnasium", 1, env_id="broken:Mine-v0")
@@ -254,7 +254,7 @@ def test_a_module_that_breaks_shows_where(scripts, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", [int, np.int64, np.int32, np.uint8, np.array])
-def test_whole_numbers_of_any_kind(kind):
+def test_integers_of_any_type_are_accepted(kind):
     with make_pool("gymnasium", kind(3), kind(2), "own_envs:Unit-v0", seed=kind(5)) as pool:
         assert (pool.num_walkers, len(pool.process_ids)) == (3, 2)
 

@@ -1,4 +1,7 @@
-"""A machine without Box2D, as one with Python 3.14 is: processes in whose way a stand-in is put."""
+"""Commands and pools on a machine without Box2D, as with Python 3.14.
+
+A module that stands in for Box2D raises at its import.
+"""
 
 import json
 import os
@@ -47,7 +50,7 @@ def _run(*command):
     )
 
 
-def _told(lines):
+def _outcomes(lines):
     """Exit code, stdout and stderr of each command line."""
     done = _run("-c", _COMMANDS, json.dumps([list(map(str, line)) for line in lines]))
     assert done.returncode == 0, done.stderr
@@ -56,22 +59,22 @@ def _told(lines):
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
-    """A sweep with the default backend: its folder and what it said."""
+    """A sweep with the default backend: its folder and its output."""
     out = tmp_path_factory.mktemp("without") / "results"
     done = _run("-m", "hitl_jax", *_SWEEP, "--out", out)
     assert done.returncode == 0, done.stderr
     return out, done.stdout
 
 
-def _as_if_on(backend, folder, tmp_path):
-    """The runs of a folder, in one that says that it was made on another backend."""
+def _copied_as_made_on(backend, folder, tmp_path):
+    """A copy of a folder whose config names another backend."""
     other = tmp_path / backend
     shutil.copytree(folder, other)
     of_config(other, lambda config: config.update({"backend": backend}))
     return other
 
 
-def test_a_sweep_takes_the_walkers_in_jax_and_says_so(swept):
+def test_a_sweep_uses_backend_jax_and_says_so(swept):
     out, said = swept
     first, *others = said.splitlines()
     assert first.startswith(_NOTE)
@@ -84,32 +87,34 @@ def test_a_sweep_takes_the_walkers_in_jax_and_says_so(swept):
     assert (len(run.episodes["return"]), len(run.tests["return"])) == (1, 1)
 
 
-def test_what_was_made_in_jax_is_played_again(swept):
+def test_runs_of_backend_jax_are_replayed_and_resumed(swept):
     out, _ = swept
-    (code, said, err), again = _told([("replay", out, "--method", "srl"), (*_SWEEP, "--out", out)])
+    (code, said, err), again = _outcomes(
+        [("replay", out, "--method", "srl"), (*_SWEEP, "--out", out)]
+    )
     assert code == 0, err
     assert "its return is the recorded one" in said
     assert again[0] == 0, again
     assert again[1].startswith(_NOTE)
 
 
-def test_a_folder_of_other_walkers_is_not_gone_on_with(swept, tmp_path):
-    """Begun where Box2D is, resumed where it is not; and the other way round."""
-    lean = _as_if_on("lean", swept[0], tmp_path)
-    ((code, out, err),) = _told([(*_SWEEP, "--out", lean)])
+def test_a_folder_of_another_backend_is_not_resumed(swept, tmp_path):
+    """A folder that was begun with Box2D is not resumed without it, nor the reverse."""
+    lean = _copied_as_made_on("lean", swept[0], tmp_path)
+    ((code, out, err),) = _outcomes([(*_SWEEP, "--out", lean)])
     assert (code, err.count("\n")) == (2, 1)
     assert out.startswith(_NOTE)
     assert 'backend: folder has "lean", asked for "jax"' in err
 
 
 @theirs.needs_box2d
-def test_where_box2d_is_a_folder_in_jax_is_not_gone_on_with(swept, capsys):
+def test_with_box2d_a_folder_of_backend_jax_is_not_resumed(swept, capsys):
     assert run_main("sweep", seed_sweep.main, [*_SWEEP[1:], "--out", str(swept[0])]) == 2
     assert 'backend: folder has "jax", asked for "lean"' in capsys.readouterr().err
 
 
-def test_what_needs_box2d_says_so_in_one_line(tmp_path):
-    lean, official = (_as_if_on(name, _KEPT, tmp_path) for name in ("lean", "gymnasium"))
+def test_commands_that_need_box2d_say_so_in_one_line(tmp_path):
+    lean, official = (_copied_as_made_on(name, _KEPT, tmp_path) for name in ("lean", "gymnasium"))
     new = ("--out", tmp_path / "new")
     lines = {
         "backend 'lean'": [
@@ -135,7 +140,7 @@ def test_what_needs_box2d_says_so_in_one_line(tmp_path):
     }
     every = [(what, line) for what, some in lines.items() for line in some]
     for (what, line), (code, out, err) in zip(
-        every, _told([line for _, line in every]), strict=True
+        every, _outcomes([line for _, line in every]), strict=True
     ):
         assert (code, err.count("\n")) == (2, 1), (line, err)
         assert err.startswith("error: "), line

@@ -1,4 +1,4 @@
-"""The pool's processes: killed, broken, orphaned, slow to come up."""
+"""Worker processes that are killed, raise, outlive their pool, or start slowly."""
 
 import os
 import signal
@@ -15,7 +15,7 @@ from hitl_jax.envs.worker_pool import WorkerPool
 
 
 def alive(process_id: int) -> bool:
-    """Whether a process still runs; one that waits to be reaped does not."""
+    """Whether a process runs; a zombie does not."""
     try:
         with open(f"/proc/{process_id}/stat") as file:
             return file.read().rpartition(")")[2].split()[0] not in "ZX"
@@ -28,7 +28,7 @@ def test_more_workers_than_walkers_and_no_orphans():
         workers = pool.process_ids
         assert len(workers) == 2
         for worker in workers:
-            os.kill(worker, signal.SIGINT)  # Neither is theirs.
+            os.kill(worker, signal.SIGINT)  # Workers ignore both signals.
             os.kill(worker, signal.SIGTERM)
         np.testing.assert_array_equal(tick(pool, RESET, seed=3).observation[:, 0], 3)
     assert not any(map(alive, workers))
@@ -37,7 +37,7 @@ def test_more_workers_than_walkers_and_no_orphans():
         tick(pool, IDLE)
 
 
-def test_closes_in_mid_tick():
+def test_a_pool_closes_in_mid_tick():
     pool = make_pool("gymnasium", 2, 2, TOY)
     workers = pool.process_ids
     pool.send(np.full(2, RESET), np.zeros((2, 2)), np.zeros(2))
@@ -53,7 +53,7 @@ def test_closes_in_mid_tick():
     ],
     ids=["raises", "dies"],
 )
-def test_a_worker_that_breaks_again_is_told(action, line, tries, capfd, caplog):
+def test_a_worker_that_fails_again_is_reported(action, line, tries, capfd, caplog):
     with make_pool("gymnasium", 3, 2, TOY) as pool:
         workers = pool.process_ids
         tick(pool, RESET)
@@ -68,7 +68,7 @@ def test_a_worker_that_breaks_again_is_told(action, line, tries, capfd, caplog):
     assert capfd.readouterr() == ("", "")  # Nothing of the workers' own reaches the terminal.
 
 
-def test_nobody_notices_that_a_worker_was_killed(caplog):
+def test_a_killed_worker_changes_no_results(caplog):
     rng = np.random.default_rng(3)
     restarts = 0
     with make_pool("lean", 3, 2) as pool, make_pool("lean", 3, 1) as whole:
@@ -94,7 +94,7 @@ def test_nobody_notices_that_a_worker_was_killed(caplog):
     assert "was killed by SIGKILL; all are started again" in caplog.text
 
 
-def test_a_worker_that_does_not_come_up():
+def test_a_worker_that_does_not_come_up_is_reported():
     with pytest.raises(ValueError, match="env_id 'Nope-v3': Environment `Nope` doesn't exist"):
         make_pool("gymnasium", 2, 2, "Nope-v3")
     with pytest.raises(ValueError, match="DiscreteToy-v0': actions must be flat vectors, not Disc"):

@@ -1,4 +1,4 @@
-"""Locks: a folder has one writer, however its process ends."""
+"""A lock gives a folder one writer, and ends with its process however that ends."""
 
 import errno
 import os
@@ -38,7 +38,7 @@ def test_a_lock_ends_with_its_process(tmp_path):
         assert f"process {os.getpid()} " in (tmp_path / ".lock").read_text()
 
 
-def test_a_lock_that_cannot_be_had(tmp_path):
+def test_a_path_that_cannot_be_locked(tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(ResultsError, match="is a file, not a folder"), locked(tmp_path / "file"):
         pass

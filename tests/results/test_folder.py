@@ -1,4 +1,4 @@
-"""What is on disk: round trips, atomicity, refusals that say why."""
+"""Results folders: what is written is read back, writes are atomic, refusals say why."""
 
 import json
 import os
@@ -19,6 +19,7 @@ from hitl_jax.results.config_diff import ConfigMismatch
 from hitl_jax.results.episode_tables import EPISODE_COLUMNS, TEST_COLUMNS
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.recorded_episodes import Recording
+from hitl_jax.results.run_files import RUN_FILES
 from hitl_jax.results.run_key import RunKey
 
 
@@ -33,7 +34,7 @@ def everything_below(path) -> set[str]:
     return {str(p.relative_to(path)) for p in path.rglob("*")}
 
 
-def test_a_run_comes_back_as_it_was_saved(folder):
+def test_a_saved_run_is_read_back(folder):
     save(folder)
     assert folder.finished() == {KEY}
     [run] = folder.load_all()
@@ -52,7 +53,7 @@ def test_a_run_comes_back_as_it_was_saved(folder):
     assert params["actor/layer_0/kernel"].dtype == np.float32
 
 
-def test_the_files_are_for_common_tools(folder):
+def test_pandas_and_numpy_read_the_files(folder):
     save(folder)
     path = folder.path / "runs/hitl-ac/seed-0003"
     tables = {"episodes.csv", "test.csv", "progress.csv"}
@@ -72,7 +73,7 @@ def test_the_files_are_for_common_tools(folder):
     assert config["versions"]["numpy"] == np.__version__
 
 
-def test_a_run_without_tests_is_fine(folder):
+def test_a_run_without_tests_is_read_back(folder):
     none = {name: [] for name in TEST_COLUMNS}
     folder.save_run(KEY, make_episodes(), none, make_params(), make_info())
     assert len(folder.load_run(KEY).tests["return"]) == 0
@@ -128,7 +129,7 @@ def test_a_failure_while_saving_leaves_nothing(folder, monkeypatch, failing):
     assert folder.finished() == {KEY}
 
 
-def test_a_killed_process_leaves_what_a_resume_removes(folder):
+def test_a_resume_removes_a_killed_process_files(folder):
     save(folder, RunKey("srl", 0))
     whole = everything_below(folder.path)
     # As after a kill -9 in the middle of `save_run` and of `write_partial`.
@@ -178,7 +179,7 @@ def test_the_same_config_resumes(folder):
     assert "hitl-jax sweep" in (folder.path / "config.json").read_text()
 
 
-def test_a_folder_from_before_a_choice_was_one_resumes_with_its_default(tmp_path):
+def test_an_older_folder_without_an_entry_resumes_with_its_default(tmp_path):
     folder = ResultsFolder(tmp_path)
     folder.create_or_resume({"agent": {"learner": "td3"}}, "command")
     config = {"agent": {"learner": "td3", "matmul_precision": "float32"}}
@@ -190,7 +191,7 @@ def test_a_folder_from_before_a_choice_was_one_resumes_with_its_default(tmp_path
         folder.create_or_resume(config, "command")
 
 
-def test_other_code_is_told(folder, monkeypatch):
+def test_other_code_is_reported(folder, monkeypatch):
     assert folder.create_or_resume(CONFIG, "again") == []
     now = {"python": "9.9", "numpy": results.versions()["numpy"]}
     monkeypatch.setattr(results, "versions", lambda: now)
@@ -201,7 +202,7 @@ def test_other_code_is_told(folder, monkeypatch):
     assert not any(line.startswith("numpy") for line in told)
 
 
-def test_another_config_is_refused_by_its_differences(folder):
+def test_another_config_is_refused_with_its_differences(folder):
     other = {"agent": CONFIG["agent"] | {"learner": "ddpg"}, "hyper": {"tau": 1}}
     with pytest.raises(ConfigMismatch) as caught:
         folder.create_or_resume(other, "command")
@@ -303,9 +304,9 @@ def test_a_run_without_its_run_json_is_named(folder):
         folder.load_all()
 
 
-@pytest.mark.parametrize("name", results.RUN_FILES)
+@pytest.mark.parametrize("name", RUN_FILES)
 def test_a_file_of_another_run_is_refused(folder, name):
-    """Also where it is whole, as after a careless copy."""
+    """Also if the other file is whole, as after a careless copy."""
     save(folder)
     columns = make_episodes()
     columns["return"] = columns["return"] + 1.0
@@ -330,7 +331,7 @@ def test_damaged_parameters(folder, content):
         folder.load_params(KEY)
 
 
-def test_what_may_not_be_saved(folder):
+def test_bad_columns_info_and_parameters_are_not_saved(folder):
     columns = make_episodes()
     wrong = {n: v for n, v in columns.items() if n != "fall"} | {"falls": columns["fall"]}
     with pytest.raises(ValueError, match=r"columns missing: \['fall'\], unknown: \['falls'\]"):
@@ -383,7 +384,7 @@ def test_reading_results_needs_no_jax():
 
 
 def test_a_processor_of_any_name_can_be_kept(folder, monkeypatch):
-    """As firmware gives it: with tabs, a NUL at its end, or spaces that are none."""
+    """Firmware gives names with tabs, a NUL at the end, or non-breaking spaces."""
     monkeypatch.setattr(provenance.platform, "processor", lambda: "A\tcore\xa05\0")
     monkeypatch.setattr("builtins.open", _no_cpuinfo(open))
     machine = f"{provenance.processor()}, 2 cores"

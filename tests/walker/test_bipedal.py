@@ -1,4 +1,4 @@
-"""Our numbers and terrain against gymnasium's; and that they need neither it nor Box2D."""
+"""Our constants and terrain equal gymnasium's, and importing them needs neither it nor Box2D."""
 
 import subprocess
 import sys
@@ -18,7 +18,7 @@ _NAMES = (
 
 
 @theirs.needs_official
-def test_the_numbers_are_gymnasiums():
+def test_constants_equal_gymnasiums():
     module = theirs.bipedal_walker
     for name in _NAMES:
         assert getattr(bipedal, name) == getattr(module, name), name
@@ -40,7 +40,7 @@ def test_the_numbers_are_gymnasiums():
 
 
 @theirs.needs_official
-def test_the_limits_of_an_episode_are_gymnasiums():
+def test_time_limits_equal_gymnasiums():
     import gymnasium
 
     limits = [gymnasium.spec(env_id).max_episode_steps for env_id in OUR_WALKERS]
@@ -49,8 +49,8 @@ def test_the_limits_of_an_episode_are_gymnasiums():
 
 
 @pytest.mark.parametrize("hardcore", [False, True])
-def test_an_episode_begins_with_the_random_numbers_of_gymnasiums(hardcore):
-    """Seeds at both ends of their range among them."""
+def test_terrain_and_push_equal_gymnasiums(hardcore):
+    """Seeds at both ends of their range are among them."""
     official = theirs.make(hardcore)
     kinds = set()
     for seed in (*range(100), 2**31 - 1, 2**31, 2**32 - 1):
@@ -64,14 +64,14 @@ def test_an_episode_begins_with_the_random_numbers_of_gymnasiums(hardcore):
         np.testing.assert_array_equal(np.float32(drawn.boxes), np.float32(expected))
         widths = np.rint([(b.right - b.left) / bipedal.TERRAIN_STEP for b in drawn.boxes])
         kinds |= set(widths.tolist())
-        # As many were drawn: the next number is the same.
+        # The same count was drawn: the next number is equal.
         assert rng.random() == official.np_random.random()
     assert kinds == ({1, 2, 4} if hardcore else set())
 
 
 @theirs.needs_official
 @pytest.mark.parametrize("seed", [0, 1, 123456789, 2**31, 2**32 - 1])
-def test_random_numbers_are_seeded_as_gymnasium_seeds_them(seed):
+def test_the_generator_is_seeded_as_gymnasium_seeds_it(seed):
     from gymnasium.utils import seeding
 
     ours = bipedal.random_numbers(seed)

@@ -1,4 +1,4 @@
-"""The walker as a Brax environment, under Brax's own wrappers and agent."""
+"""Brax's own wrappers and PPO run on the walker as a Brax environment."""
 
 import jax
 import numpy as np
@@ -12,8 +12,8 @@ from hitl_jax.walker.brax_env import BipedalWalker
 WALKERS = 16
 
 
-def test_brax_wraps_it():
-    from brax.envs.wrappers import training  # after our guard against what it says
+def test_braxs_wrappers_accept_it():
+    from brax.envs.wrappers import training  # After our filter of its warnings.
 
     env = training.wrap(BipedalWalker(), episode_length=1600)
     keys = jax.random.split(jax.random.PRNGKey(0), WALKERS)  # Brax knows no typed keys.

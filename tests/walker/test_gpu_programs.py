@@ -1,4 +1,4 @@
-"""The walker's programs compile for a GPU, also where none is."""
+"""The walker's programs compile for a GPU, also on a machine without one."""
 
 import importlib.util
 import json
@@ -17,11 +17,11 @@ _SCRIPT = pathlib.Path(__file__).parents[1] / "gpu_programs.py"
     reason="needs the extra `gpu-compiler`",
 )
 @pytest.mark.parametrize(
-    ("version", "waits", "most"),
-    # Where walkers begin anew is a condition that the host looks at, or not.
+    ("version", "host_waits", "most"),
+    # Conditions for which the GPU waits for the host: whether a walker is reset, or none.
     [("one_thread", 1, (110, 130, 120)), ("four_threads", 0, (80, 110, 90))],
 )
-def test_programs_compile_for_a_gpu(version, waits, most):
+def test_programs_compile_for_a_gpu(version, host_waits, most):
     known = {"JAX_PLATFORMS": "cpu", "JAX_SKIP_CUDA_CONSTRAINTS_CHECK": "1"}
     done = subprocess.run(
         [sys.executable, _SCRIPT, version], env=os.environ | known, capture_output=True, text=True
@@ -31,5 +31,5 @@ def test_programs_compile_for_a_gpu(version, waits, most):
     assert list(told) == ["a tick", "a tick on hardcore terrain", "a chunk"]
     # Each kernel takes some 2 µs to start: they are few.
     for counts, limit in zip(told.values(), most, strict=True):
-        assert counts["waits"] == waits
+        assert counts["waits"] == host_waits
         assert counts["kernels"] <= limit

@@ -1,4 +1,4 @@
-"""Which version of the walker's programs a GPU gets: what has run on one, unless it is asked."""
+"""A GPU gets the version of programs that has run on one, unless the other is chosen."""
 
 import re
 import threading
@@ -22,13 +22,13 @@ _RAN = """
     setp.lt.s32 setp.ne.s32 setp.neu.f32 sqrt.rn.f32 st.global.f32 st.global.s32 st.global.u8
     sub.f32 sub.s32 xor.pred
 """
-"""Instructions of the kernels that ran on an H100."""
+"""PTX instructions of the kernels that have run on an H100."""
 _NEVER_RAN = {"and.b32", "cvt.rzi.s32.f32", "shfl.sync.bfly.b32", "vote.sync.any.pred"}
 
 
 @pytest.fixture(autouse=True)
-def _forget():
-    """What was traced for a GPU is no program for a CPU, nor the reverse."""
+def _clear_caches():
+    """Clears JAX's caches: a program traced for a GPU is none for a CPU, and the reverse."""
     jax.clear_caches()
     yield
     jax.clear_caches()
@@ -39,9 +39,9 @@ def _traced(version, monkeypatch):
     texts, written = [], kernel.kernel_text
 
     def noted(*given):
-        text, told = written(*given)
+        text, shapes = written(*given)
         texts.append(text)
-        return text, told
+        return text, shapes
 
     seeds = jnp.zeros(_LANES, jnp.uint32)
     command, action = jnp.zeros(_LANES, jnp.int32), jnp.zeros((_LANES, 4))
@@ -63,26 +63,26 @@ def test_by_default_a_gpu_gets_instructions_that_have_run_on_one(monkeypatch):
     assert "cond" not in operations
 
 
-def test_a_cpu_gets_the_same_whatever_is_asked():
+def test_a_cpu_gets_the_same_program_for_both_versions():
     walkers = jax.eval_shape(
         jax.vmap(walker.new_walker), jax.random.split(jax.random.key(0), _LANES)
     )
     texts = set()
     for version in gpu.VERSIONS:
         with gpu.use(version):
-            # A function of its own each time, that nothing is remembered of.
+            # A new function each time, which JAX has not traced before.
             step = jax.vmap(lambda *given: walker.step(*given))
             texts.add(str(jax.make_jaxpr(step)(walkers, jnp.zeros((_LANES, 4)))))
     assert len(texts) == 1
 
 
 @pytest.mark.parametrize("version", ["", "three_threads", "One_thread", "one_thread ", None, 4])
-def test_other_versions_are_refused(version):
+def test_unknown_versions_are_refused(version):
     with pytest.raises(ValueError, match=r"^version .*: must be one of one_thread, four_threads$"):
         gpu.use(version)
 
 
-def test_a_version_holds_as_long_as_its_context(monkeypatch):
+def test_a_version_ends_with_its_context(monkeypatch):
     monkeypatch.setattr(gpu, "on_gpu", lambda: True)
     assert not gpu.uses_four_threads()
     with gpu.use("four_threads"):
@@ -95,7 +95,7 @@ def test_a_version_holds_as_long_as_its_context(monkeypatch):
     assert not gpu.uses_four_threads()
 
 
-def test_a_version_holds_in_the_thread_that_asks(monkeypatch):
+def test_a_version_is_chosen_for_one_thread(monkeypatch):
     monkeypatch.setattr(gpu, "on_gpu", lambda: True)
     seen = []
     with gpu.use("four_threads"):

@@ -1,4 +1,4 @@
-"""Hardcore terrain: it is drawn as gymnasium draws it, and walkers meet it as in Box2D."""
+"""Hardcore terrain is drawn by gymnasium's rules, and its contacts and lidar agree with Box2D."""
 
 import dataclasses
 
@@ -21,8 +21,8 @@ def official():
     return theirs.make(hardcore=True)
 
 
-class _Told:
-    """In the place of gymnasium's random numbers: those that were drawn for each corner."""
+class _GivenDraws:
+    """Stands in for gymnasium's generator and returns given numbers for each corner."""
 
     def __init__(self, env, pushes, stretches, kinds, stumps, others, rises):
         self._corner = lambda: len(env.terrain_x) - 1
@@ -39,7 +39,7 @@ class _Told:
         return 4 if (low, high) == (4, 5) else self._integers[low, high][self._corner()]
 
 
-def test_terrain_from_equal_numbers_is_gymnasiums():
+def test_terrain_from_equal_draws_is_gymnasiums():
     rng = np.random.default_rng(0)
     shape = (DRAWS, constants.TERRAIN_LENGTH)
     drawn = (
@@ -55,12 +55,12 @@ def test_terrain_from_equal_numbers_is_gymnasiums():
     for index in range(DRAWS):
         official = theirs.make(hardcore=True)
         official.reset(seed=0)
-        official._np_random = _Told(official, *(values[index] for values in drawn))
+        official._np_random = _GivenDraws(official, *(values[index] for values in drawn))
         official._generate_terrain(hardcore=True)
         expected = from_gymnasium.terrain_of(official)
         ours = jax.tree.map(lambda leaf, at=index: leaf[at], plan)
         np.testing.assert_allclose(ours.heights, expected.heights, atol=2e-5)
-        # Beyond the end of the ground gymnasium's boxes go on, and nobody gets there.
+        # Boxes beyond the end of the ground differ; no walker gets there.
         inside = slice(0, constants.NUM_EDGES)
         for mine, other in zip(
             jax.tree.leaves(ours.boxes), jax.tree.leaves(expected.boxes), strict=True
@@ -74,7 +74,7 @@ def test_terrain_from_equal_numbers_is_gymnasiums():
 
 
 def _tick(walkers, actions):
-    """A step of sixteen walkers, by the program of a small pool."""
+    """One step of sixteen walkers, with the program of a small pool."""
     rows = np.full(LANES, Command.STEP, np.uint8), np.float32(actions), np.zeros(LANES, np.uint32)
     return jax_pool.tick(*jax.device_put((walkers, *rows), walker_devices(1)[0]))
 
@@ -84,7 +84,7 @@ def _stacked(walkers):
 
 
 def _put(env, seed, x, y):
-    """Begins an episode with the hull at another place; Box2D finds contacts after a step."""
+    """Begins an episode and moves the walker; Box2D finds contacts after one step."""
     env.reset(seed=seed)
     shift = np.array([x, y]) - np.array(tuple(env.hull.position))
     for body in (env.hull, *env.legs):
@@ -110,7 +110,7 @@ def _stands_on_a_box(env):
 
 
 def test_a_step_on_obstacles_is_box2ds(official):
-    """By walkers that are dropped over an obstacle and kick about."""
+    """Walkers are dropped over an obstacle and act at random."""
     rng = np.random.default_rng(0)
     rows = []
     for seed in range(64):
@@ -137,7 +137,7 @@ def test_a_step_on_obstacles_is_box2ds(official):
     error = np.concatenate(errors)
     assert np.median(error) <= 1e-6
     assert np.quantile(error, 0.95) <= 1e-4
-    # A foot's flag, or an impact, may differ now and then.
+    # A foot's ground contact, or an impact, differs in a few steps.
     assert (error.max(1) > 1e-2).mean() <= 0.05
 
 
@@ -157,8 +157,8 @@ def test_lidar_sees_obstacles(official):
     np.testing.assert_allclose(step.observation[:, 14:], expected, atol=1e-5)
 
 
-def test_a_hull_that_meets_an_obstacle_has_fallen(official):
-    """Upside down, from heights of which some are too great to meet it in the next step."""
+def test_a_hull_that_touches_an_obstacle_has_fallen(official):
+    """Walkers fall upside down; some are too high to touch the obstacle in the next step."""
     corners = _stump(official)
     walkers, ends = [], []
     for above in np.linspace(0.9, 1.6, LANES):
@@ -178,7 +178,7 @@ def test_a_hull_that_meets_an_obstacle_has_fallen(official):
     assert 0 < sum(ends) < LANES
 
 
-def test_the_pool_plays_on_it_by_seeds():
+def test_the_pools_hardcore_episodes_follow_from_their_seeds():
     seeds = np.arange(3, dtype=np.uint32)
     action = np.zeros((3, 4), np.float32)
     with make_pool("jax", 3, 1, HARDCORE_WALKER) as pool:

@@ -1,4 +1,4 @@
-"""The solver's loops as a GPU's kernels, on a slow machine of the tests' own."""
+"""The solver's GPU kernels compute what its CPU programs compute, on an emulator of PTX."""
 
 import functools
 import math
@@ -19,7 +19,7 @@ from hitl_jax.walker.gpu.four_threads import sincos as other_sincos
 from hitl_jax.walker.gpu.four_threads import solver as four_threads
 from hitl_jax.walker.gpu.four_threads.thread import ExchangingThreadWriter
 from hitl_jax.walker.gpu.jaxpr_to_ptx import ThreadWriter
-from hitl_jax.walker.physics import contact_solver, ground, impacts, joints, world
+from hitl_jax.walker.physics import contact_solver, ground, impacts, island, joints, world
 from hitl_jax.walker.physics.boxes import Boxes, NearbyGround
 from hitl_jax.walker.physics.contacts import match_impulses
 from hitl_jax.walker.physics.manifolds import touching_first
@@ -36,15 +36,15 @@ def version(request):
 
 
 @pytest.fixture
-def neighbours():
-    """Threads of a walker tell each other."""
+def exchanging():
+    """The version whose threads exchange numbers."""
     with gpu.use("four_threads"):
         yield
 
 
 @pytest.fixture(scope="module")
-def now():
-    """Walkers when they have stumbled for a while, and what a step is made of."""
+def state():
+    """Walkers after 45 random steps: world, ground, manifolds, contacts and constraints."""
     rng, seeds = np.random.default_rng(0), np.arange(_WALKERS, dtype=np.uint32)
     with make_pool("jax", _WALKERS, 1) as pool:
         for command in (Command.RESET, *[Command.STEP] * 45):
@@ -68,32 +68,32 @@ def _prepared(before, heights):
 
 
 def _written(function, parts, args):
-    """The text of a kernel for a GPU, of the version in use."""
+    """The PTX of a kernel, of the version in use."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gpu, "on_gpu", lambda: True)
         return kernel.kernel_text(function, parts, args)
 
 
 def _emulated(function, parts=(), block_size=None):
-    """A function as a kernel, as it is for a GPU, on the slow machine."""
+    """A function as a GPU's kernel, run by the emulator."""
 
     def call(*args):
         batch = max(leaf.shape[-1] for leaf in jax.tree.leaves(args))
         args = jax.tree.map(
             lambda leaf: np.broadcast_to(leaf, (*np.shape(leaf)[:-1], batch)).copy(), args
         )
-        # Not the same object: JAX would give what it has traced for a CPU.
-        text, told = _written(lambda *args: function(*args), parts, args)
-        results = [np.zeros(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(told)]
+        # A new function object: JAX would reuse what it has traced for a CPU.
+        text, shapes = _written(lambda *args: function(*args), parts, args)
+        results = [np.zeros(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(shapes)]
         threads = batch * math.prod(parts)
         ptx_machine.run(text, threads, [*jax.tree.leaves(args), *results], block_size)
-        return jax.tree.unflatten(jax.tree.structure(told), results)
+        return jax.tree.unflatten(jax.tree.structure(shapes), results)
 
     return call
 
 
-def _agree(function, args, parts=(), block_size=None):
-    """The text does what the function does on a CPU."""
+def _assert_kernel_equals_cpu(function, args, parts=(), block_size=None):
+    """A function as one kernel gives what it gives on a CPU."""
     _are_close(_emulated(function, parts, block_size)(*args), jax.jit(function)(*args))
 
 
@@ -102,26 +102,32 @@ def _are_close(got, expected):
         np.testing.assert_allclose(one, other, atol=2e-5, rtol=2e-5)
 
 
-def _is_as_on_a_cpu(function, args):
-    """A part of a step, with the kernels of the version in use, gives what it gives on a CPU."""
+def _assert_kernels_equal_cpu(function, args):
+    """A part of a step, with its kernels of the version in use, gives what it gives on a CPU."""
     expected = jax.jit(function)(*args)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gpu, "on_gpu", lambda: True)
-        for module in (world, four_threads):
+        for module in (island, four_threads):
             patch.setattr(module, "as_kernel", _emulated)
         got = function(*args)
     _are_close(got, expected)
 
 
-def test_velocity_iterations(now, version):
-    before, _, _, contacts, joint, constraints = now
+def _speeds(world):
+    return Speeds(world.velocity, world.spin)
+
+
+def test_velocity_iterations(state, version):
+    before, _, _, contacts, joint, constraints = state
     assert contacts.touching[:, 1::2].any()
-    _is_as_on_a_cpu(world._solve_velocities, (before, joint, constraints, contacts))
+    _assert_kernels_equal_cpu(
+        island.solve_velocities, (_speeds(before), before.impulses, joint, constraints, contacts)
+    )
 
 
-def test_velocity_rounds_with_contacts_of_all_parts(now, version):
-    """Also where a walker touches with its thighs, and with more than two edges."""
-    before, _, _, contacts, joint, constraints = now
+def test_velocity_iterations_with_contacts_of_all_parts(state, version):
+    """Thighs touch too, and shins touch more than two edges."""
+    before, _, _, contacts, joint, constraints = state
     everywhere = jax.tree.map(
         lambda leaf: np.broadcast_to(leaf[:1, 1:2], leaf.shape), (contacts, constraints.points)
     )
@@ -131,11 +137,13 @@ def test_velocity_rounds_with_contacts_of_all_parts(now, version):
         (constraints.matrix, constraints.inverse),
     )
     constraints = contact_solver.ContactConstraints(constraints.inverse_masses, points, *matrices)
-    _is_as_on_a_cpu(world._solve_velocities, (before, joint, constraints, contacts))
+    _assert_kernels_equal_cpu(
+        island.solve_velocities, (_speeds(before), before.impulses, joint, constraints, contacts)
+    )
 
 
 def _on_stairs(near, place):
-    """The ground, and under each part two boxes that it touches or sinks into, as stairs."""
+    """The ground, with two stairs under each part that it touches or overlaps."""
     steps = np.array([0.1, -0.2, 0, 0], np.float32)[:, None, None]
     left, top = place.x[1:] + steps, place.y[1:] - 0.45 + steps / 4
     wide = np.where(steps != 0, 0.35, 0).astype(np.float32)
@@ -144,29 +152,33 @@ def _on_stairs(near, place):
 
 
 @pytest.mark.parametrize("hardcore", [False, True])
-def test_where_parts_touch(now, neighbours, hardcore):
-    before, near, _, contacts, _, _ = now
+def test_contacts_of_parts(state, exchanging, hardcore):
+    before, near, _, contacts, _, _ = state
     legs = world.legs_of(pose(before.place, before.angle))
     assert contacts.touching.any()
     if hardcore:
         near = _on_stairs(near, before.place)
         assert near.manifolds(legs).touching[4:].any()
-    _agree(world._collide, (legs, near, before.contacts, before.ground_contact), parts=(4,))
+    _assert_kernel_equals_cpu(
+        world._collide, (legs, near, before.contacts, before.ground_contact), parts=(4,)
+    )
 
 
-def test_position_iterations(now, version):
-    before, _, manifold, _, joint, _ = now
-    _is_as_on_a_cpu(world._solve_positions, (before.place, before.angle, joint.side, manifold))
+def test_position_iterations(state, version):
+    before, _, manifold, _, joint, _ = state
+    _assert_kernels_equal_cpu(
+        island.solve_positions, (before.place, before.angle, joint.side, manifold)
+    )
 
 
-def test_position_rounds_of_a_walker_out_of_joint(now, version):
-    """It needs all rounds, of both legs; its neighbours do not."""
-    before, _, manifold, _, joint, _ = now
+def test_position_iterations_of_separated_joints(state, version):
+    """Joints of both legs of one walker are apart: it needs all iterations, the others do not."""
+    before, _, manifold, _, joint, _ = state
     shift = np.zeros((5, _WALKERS), np.float32)
     shift[[1, 4], 0] = 0.2, -0.1
     place = Vec(before.place.x + shift, before.place.y)
     angle = before.angle + shift
-    _is_as_on_a_cpu(world._solve_positions, (place, angle, joint.side, manifold))
+    _assert_kernels_equal_cpu(island.solve_positions, (place, angle, joint.side, manifold))
 
 
 @pytest.mark.parametrize(
@@ -174,8 +186,8 @@ def test_position_rounds_of_a_walker_out_of_joint(now, version):
     [("one_thread", False), ("one_thread", True), ("four_threads", True)],
     indirect=["version"],
 )
-def test_impacts_have_a_thread_for_each_part(now, version, hardcore):
-    before, near, _, contacts, _, _ = now
+def test_impacts_have_a_thread_for_each_part(state, version, hardcore):
+    before, near, _, contacts, _, _ = state
     if hardcore:
         near = _on_stairs(near, Vec(before.place.x, before.place.y - 0.03))
     start = Vec(before.place.x[1:], before.place.y[1:])
@@ -190,13 +202,13 @@ def test_impacts_have_a_thread_for_each_part(now, version, hardcore):
     assert (jax.jit(impacts.solve_impacts)(moved, near).done > 0).any()
     needed = jnp.arange(4 * _WALKERS).reshape(4, _WALKERS) % 2 == 0
     work = functools.partial(apply_masked, impacts.solve_impacts)
-    _agree(work, (needed, moved, near), parts=(4,))
+    _assert_kernel_equals_cpu(work, (needed, moved, near), parts=(4,))
 
 
 def test_terrain(version):
     pushes = np.linspace(-0.03, 0.03, 200 * _WALKERS, dtype=np.float32).reshape(200, _WALKERS)
     stretches = np.arange(200 * _WALKERS, dtype=np.int32).reshape(200, _WALKERS) % 5 + 5
-    _agree(terrain._profile, (pushes, stretches))
+    _assert_kernel_equals_cpu(terrain._profile, (pushes, stretches))
 
 
 def test_hardcore_terrain(version):
@@ -205,7 +217,7 @@ def test_hardcore_terrain(version):
     ends = ((5, 10), (1, 4), (1, 3), (3, 5))
     integers = [rng.integers(*each, shape).astype(np.int32) for each in ends]
     pushes = rng.uniform(-0.03, 0.03, shape).astype(np.float32)
-    _agree(terrain._corners, (pushes, *integers, rng.random(shape) < 0.5))
+    _assert_kernel_equals_cpu(terrain._corners, (pushes, *integers, rng.random(shape) < 0.5))
 
 
 @pytest.mark.parametrize("module", [sincos, other_sincos])
@@ -221,35 +233,37 @@ def test_threads_beyond_the_batch_do_nothing(version, parts):
     shape = (*parts, 3)
     text, _ = _written(lambda a: a + 1, parts, (np.zeros(shape, np.float32),))
     given = np.arange(math.prod(shape), dtype=np.float32)
-    told = np.zeros(given.size + 2, np.float32)
-    ptx_machine.run(text, given.size + 2, [given, told])
-    assert told.tolist() == [*(given + 1), 0, 0]
+    result = np.zeros(given.size + 2, np.float32)
+    ptx_machine.run(text, given.size + 2, [given, result])
+    assert result.tolist() == [*(given + 1), 0, 0]
 
 
-def test_what_threads_would_have_to_tell_each_other_is_refused():
+def test_sums_over_threads_are_refused():
     with pytest.raises(NotImplementedError, match="over threads"):
         kernel.kernel_text(lambda a: a + a.sum(), (), (np.zeros(3, np.float32),))
 
 
-def test_leaves_of_other_batches_are_named():
+def test_arguments_of_different_batches_are_refused():
     args = (np.zeros((2, 3), np.float32), np.zeros(4, np.float32))
     with pytest.raises(ValueError, match=r"shape \(4,\): must end with \(3,\)"):
         kernel.kernel_text(lambda a, b: (a, b), (), args)
 
 
 @pytest.mark.parametrize("block_size", [None, 4, 8])
-def test_threads_of_a_walker_tell_each_other(neighbours, block_size):
+def test_threads_of_a_walker_exchange_numbers(exchanging, block_size):
     def told(a):
         legs = jnp.flip(a, -3)
         known = a[0] > 0
         return legs, jnp.flip(a, (0, -2)), jnp.where(jnp.flip(known, -2), 1, jnp.int32(0))
 
     a = np.arange(24, dtype=np.float32).reshape(2, 2, 2, 3) % 5 - 2
-    _agree(told, (a,), parts=(2, 2), block_size=block_size)  # Of 8 the last is half empty.
+    _assert_kernel_equals_cpu(
+        told, (a,), parts=(2, 2), block_size=block_size
+    )  # With 8 the last block is half empty.
 
 
-def test_threads_of_a_walker_go_round_together(neighbours):
-    """As often as the slowest needs, each for itself doing nothing when it is done."""
+def test_threads_of_a_walker_leave_a_loop_together(exchanging):
+    """A loop runs as often as the slowest thread needs; the others then change nothing."""
 
     def halved(a):
         def one(carry):
@@ -258,7 +272,9 @@ def test_threads_of_a_walker_go_round_together(neighbours):
 
         return jax.lax.while_loop(lambda carry: (carry[0] > 1).any(), one, (a, 0 * a))
 
-    _agree(halved, (np.array([1, 90, 7, 3], np.float32).reshape(2, 2, 1),), parts=(2, 2))
+    _assert_kernel_equals_cpu(
+        halved, (np.array([1, 90, 7, 3], np.float32).reshape(2, 2, 1),), parts=(2, 2)
+    )
 
 
 @pytest.mark.parametrize(
@@ -270,13 +286,13 @@ def test_threads_of_a_walker_go_round_together(neighbours):
         (lambda a: jax.lax.cond((a > 0).any(), lambda: jnp.flip(a, -2), lambda: a), (2, 2)),
     ],
 )
-def test_threads_that_may_not_come_to_an_exchange_are_refused(neighbours, function, parts):
+def test_exchanges_that_some_threads_may_not_reach_are_refused(exchanging, function, parts):
     with pytest.raises(NotImplementedError, match="flipped, or in a branch"):
         _written(function, parts, (np.zeros((*parts, 3), np.float32),))
 
 
 @pytest.mark.parametrize(("axis", "parts"), [(-3, (2, 2)), (-2, (2, 2)), (-2, (4,)), (-1, ())])
-def test_one_thread_a_walker_is_told_nothing(axis, parts):
+def test_exchanges_of_version_one_thread_are_refused(axis, parts):
     with pytest.raises(NotImplementedError, match="flipped in a kernel"):
         _written(lambda a: jnp.flip(a, axis), parts, (np.zeros((*parts, 3), np.float32),))
 
@@ -290,7 +306,7 @@ def test_blocks_are_small_while_a_gpu_has_room(threads, parts, cores, block):
     assert ThreadWriter.block_size(threads, parts, cores) == 32
 
 
-def test_on_a_cpu_a_function_stays_itself():
+def test_on_a_cpu_as_kernel_returns_the_function():
     with jax.default_device(jax.devices("cpu")[0]):
         assert kernel.as_kernel(jnp.sin) is jnp.sin
 
@@ -299,9 +315,7 @@ def test_on_a_cpu_a_function_stays_itself():
     ("platform", "capability", "taken"),
     [("gpu", "9.0", True), ("gpu", "7.5", False), ("gpu", "gfx942", False), ("cpu", None, False)],
 )
-def test_kernels_are_for_gpus_that_know_their_instructions(
-    monkeypatch, platform, capability, taken
-):
+def test_kernels_are_for_gpus_with_their_instructions(monkeypatch, platform, capability, taken):
     device = types.SimpleNamespace(platform=platform, compute_capability=capability)
     monkeypatch.setattr(jax, "devices", lambda *_: [device])
     assert gpu.on_gpu() is taken
@@ -324,11 +338,11 @@ def test_kernels_are_for_gpus_that_know_their_instructions(
         (lambda a: a[:2].sum() + a, "slice of threads"),
     ],
 )
-def test_what_a_kernel_would_get_wrong_is_refused(function, message):
+def test_operations_that_kernels_do_not_have_are_refused(function, message):
     with pytest.raises(NotImplementedError, match=message):
         kernel.kernel_text(function, (), (np.zeros(3, np.float32),))
 
 
-def test_results_without_the_batch_are_named():
+def test_results_without_the_batch_are_refused():
     with pytest.raises(ValueError, match=r"result of shape \(3,\): must end with the batch"):
         kernel.kernel_text(lambda a: (a, jnp.arange(3.0)), (), (np.zeros(5, np.float32),))

@@ -1,4 +1,4 @@
-"""The walker in JAX against gymnasium's, and its pool. All share one compiled program."""
+"""The walker in JAX agrees with gymnasium's on Box2D; its pool. All tests share one program."""
 
 import dataclasses
 
@@ -24,7 +24,7 @@ from hitl_jax.xla.threefry import make_key
 pytestmark = pytest.mark.usefixtures("compiled_fully")
 
 LANES = 16
-"""Of the one program: the least number of walkers of a device."""
+"""Walkers of the one program: the least number of a device."""
 
 
 @pytest.fixture(scope="module")
@@ -39,13 +39,13 @@ def step(walkers, actions, command=Command.STEP):
 
 
 def stacked(walkers):
-    """Sixteen walkers; the last ones again where there are fewer."""
+    """Sixteen walkers; the last one is repeated if there are fewer."""
     walkers = (walkers + [walkers[-1]] * LANES)[:LANES]
     return jax.tree.map(lambda *leaves: np.stack(leaves), *walkers)
 
 
 def played(env, seed, steps, noise=0.0):
-    """(walker before it, action, observation, terminated) of each step of a scripted episode."""
+    """Rows (walker before the step, action, observation, terminated) of a scripted episode."""
     observation, _ = env.reset(seed=seed)
     gait, rng = theirs.gait(), np.random.default_rng(seed)
     rows = []
@@ -59,7 +59,7 @@ def played(env, seed, steps, noise=0.0):
     return rows
 
 
-def test_bodies_are_gymnasiums(official):
+def test_masses_and_friction_equal_box2ds(official):
     official.reset(seed=0)
     bodies = [official.hull, *official.legs]
     centres = np.array([tuple(body.localCenter) for body in bodies])
@@ -76,7 +76,7 @@ def test_bodies_are_gymnasiums(official):
         )
 
 
-def test_joints_are_gymnasiums(official):
+def test_joints_equal_box2ds(official):
     official.reset(seed=0)
     bodies = [official.hull, *official.legs]
     for index, joint in enumerate(official.joints):
@@ -106,11 +106,11 @@ def test_a_step_from_a_copied_state_is_box2ds(official):
     assert len(error) > 80
     assert np.median(error) <= 1e-6
     assert np.quantile(error, 0.95) <= 1e-4
-    # A foot's flag, or an impact, may differ now and then.
+    # A foot's ground contact, or an impact, differs in a few steps.
     assert (error.max(1) > 1e-2).mean() <= 0.05
 
 
-def test_equal_actions_keep_it_beside_box2d(official):
+def test_forty_steps_with_equal_actions_stay_near_box2ds(official):
     episodes = [played(official, seed, 60)[20:] for seed in range(3)]
     assert all(len(episode) == 40 for episode in episodes)
     walkers = stacked([episode[0][0] for episode in episodes])
@@ -135,7 +135,7 @@ def test_a_reset_on_gymnasiums_terrain_is_gymnasiums(official):
     assert (np.asarray(first.steps) == 0).all()
 
 
-def test_falls_end_it_when_gymnasiums_end(official):
+def test_falls_end_episodes_when_gymnasiums_end(official):
     falls = [played(official, seed, 1600, 0.6)[-LANES:] for seed in range(4)]
     falls = [rows for rows in falls if rows[-1][3]]
     assert len(falls) >= 2
@@ -147,7 +147,7 @@ def test_falls_end_it_when_gymnasiums_end(official):
         assert float(after.reward[len(rows) - 1]) == -100
 
 
-def test_ends():
+def test_the_goal_terminates_and_the_limit_truncates():
     one = jax.tree.map(np.asarray, walker.new_walker(make_key(0)))
     one = dataclasses.replace(one, steps=np.int32(0))
     place = dataclasses.replace(
@@ -161,12 +161,12 @@ def test_ends():
     assert np.asarray(after.truncated)[:4].tolist() == [False, True, False, False]
 
 
-def test_neither_place_nor_neighbours_matter():
+def test_a_step_depends_on_neither_lane_nor_other_walkers():
     rng, rows = np.random.default_rng(0), []
     walkers = stacked([walker.new_walker(make_key(seed)) for seed in range(LANES)])
     for count in range(60):
         actions = rng.uniform(-1, 1, (LANES, 4)).astype(np.float32)
-        if count % 2:  # Now one, now another, in the air and on the ground.
+        if count % 2:  # One walker after the other, in the air and on the ground.
             lane = count // 2 % LANES
             rows.append(
                 (jax.tree.map(lambda leaf, at=lane: np.array(leaf[at]), walkers), actions[lane])
@@ -194,14 +194,14 @@ def test_terrain_is_drawn_as_gymnasium_draws_it():
     assert flat[0] == pytest.approx(flat[1], abs=0.005)
 
 
-def test_the_pool_plays_by_seeds():
+def test_the_pools_episodes_follow_from_their_seeds():
     seeds = np.arange(3, dtype=np.uint32)
     action = np.random.default_rng(0).uniform(-1, 1, (3, 4)).astype(np.float32)
     with make_pool("jax", 3) as pool:
         first = pool.step(np.full(3, Command.RESET), action, seeds)
         assert (first.reward == 0).all()
         second = pool.step(np.full(3, Command.STEP), action, seeds)
-        # One idles, one steps, one begins the episode of another.
+        # One walker idles, one steps, one begins the first one's episode.
         command = np.array([Command.IDLE, Command.STEP, Command.RESET])
         third = pool.step(command, action, seeds[[0, 1, 0]])
         np.testing.assert_array_equal(third.observation[0], second.observation[0])
@@ -227,13 +227,13 @@ def test_many_walkers_are_stepped_in_blocks(monkeypatch):
     assert len(np.unique(many, axis=0)) == len(many)
 
 
-def test_made_walkers_differ_by_key():
+def test_new_walkers_differ_by_key():
     one, other = (walker.new_walker(make_key(seed)) for seed in (1, 2))
     assert (one.terrain.heights != other.terrain.heights).any()
     assert one.world.velocity.x[0] != other.world.velocity.x[0]
 
 
-def test_of_one_maps_over_any_axes():
+def test_single_from_batch_maps_over_any_axes():
     @single_from_batch
     def total(values, factor):  # [n, B], [B]
         return (values * factor).sum(0)
@@ -247,7 +247,7 @@ def test_of_one_maps_over_any_axes():
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.7, 1.0])
-def test_rarely_works_for_those_who_need_it(share):
+def test_apply_to_subset_changes_those_that_need_it_alone(share):
     needed = np.random.default_rng(0).uniform(size=100) < share
     state = (jnp.arange(100.0), jnp.zeros((2, 100)))
     done = apply_to_subset(needed, lambda s, c: (s[0] + c, s[1] - 1), state, jnp.full(100, 5.0))
@@ -257,7 +257,7 @@ def test_rarely_works_for_those_who_need_it(share):
 
 @pytest.mark.parametrize("slots", [manifolds.SLOTS, 2 * manifolds.SLOTS])
 @pytest.mark.parametrize("leads", [False, True])
-def test_touching_slots_stand_first_in_their_order(slots, leads):
+def test_touching_manifolds_come_first_and_keep_their_order(slots, leads):
     num_parts, batch = 4, 50
     rng = np.random.default_rng(slots)
     # Each slot, part and walker has a number of its own; at most four slots touch.
@@ -291,7 +291,7 @@ def test_touching_slots_stand_first_in_their_order(slots, leads):
             np.testing.assert_array_equal(moved.touching[:, part, walker_], met[places])
 
 
-def test_impulses_go_with_their_edge_and_point_to_another_slot():
+def test_impulses_follow_their_edge_and_point_to_another_slot():
     before = contacts.no_contacts(1)
     edge = jnp.array([7, 8, 9, 10], jnp.int32)[:, None, None] + jnp.zeros_like(before.edge)
     keys = (jnp.zeros_like(edge) + 1, jnp.zeros_like(edge) + 2)
@@ -308,4 +308,4 @@ def test_impulses_go_with_their_edge_and_point_to_another_slot():
         np.testing.assert_array_equal(after.normal[0][:, part, 0], expected)
         np.testing.assert_array_equal(after.friction[1][:, part, 0], expected / 10)
     stands = contacts.ground_contact_after(jnp.ones((4, 1), bool), before, after)
-    assert not stands.any()  # Of edges 10, which ended, and 11, which began, the left one counts.
+    assert not stands.any()  # Contact 10 ended and 11 began: the left one, 10, decides.

@@ -1,3 +1,5 @@
+"""The dense product and its gradients equal a plain matrix product's."""
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -6,7 +8,7 @@ from jax.test_util import check_grads
 
 from hitl_jax.xla.dense_product import MATMUL_PRECISIONS, product
 
-# The forms are for what XLA makes of products when it optimises.
+# XLA changes products only when it optimises.
 pytestmark = pytest.mark.usefixtures("compiled_fully")
 
 _PLAIN = [(3, 5, 2), (3, 2, 4), (31, 40, 10), (64, 31, 31), (64, 40, 3)]
@@ -58,7 +60,7 @@ def test_gradients_under_vmap(rows, inputs, outputs, stack, precision):
 def test_bfloat16_rounds_operands_and_nothing_else(rows, inputs, outputs, stack):
     given = _operands(rows, inputs, outputs, stack)
     rounded = [value.astype("bfloat16").astype("float32") for value in given]
-    # The weights of the sum are what the gradient of the outputs is.
+    # The gradient of the outputs is the weights of the sum.
     ours = jax.jit(_value_and_gradients(lambda *both: product(*both, "bfloat16")))
     theirs = _value_and_gradients(jnp.matmul)
     _assert_close(ours(*given[:2], rounded[2]), theirs(*rounded))

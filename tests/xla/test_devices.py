@@ -1,4 +1,4 @@
-"""Priorities of the learner's threads, and what a device learns together."""
+"""Priorities of the learner's threads, and how many runs a device learns at once."""
 
 import os
 import subprocess
@@ -22,7 +22,7 @@ print(os.getpriority(os.PRIO_PROCESS, 0), *sorted(nice))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere threads have no priorities")
-def test_learning_threads_let_others_go_first():
+def test_learning_threads_have_lower_priority():
     answer = subprocess.run(
         [sys.executable, "-c", _SCRIPT], stdout=subprocess.PIPE, text=True, check=True
     )
@@ -30,7 +30,7 @@ def test_learning_threads_let_others_go_first():
     assert [int(nice) for nice in answer.stdout.split()] == [usual, usual, min(usual + 10, 19)]
 
 
-def test_an_accelerator_learns_all_its_runs_together_and_a_cpu_one_by_one(monkeypatch):
+def test_an_accelerator_learns_all_its_runs_at_once_and_a_cpu_one(monkeypatch):
     monkeypatch.setattr(devices, "learning_devices", lambda: ("one", "another"))
     assert devices.default_tile(32) == devices.default_tile(64) == 1
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
@@ -38,7 +38,7 @@ def test_an_accelerator_learns_all_its_runs_together_and_a_cpu_one_by_one(monkey
 
 
 @pytest.mark.parametrize("change", ["gone", "other arguments"])
-def test_a_jax_without_clients_of_our_own_gives_its_cpu(monkeypatch, change):
+def test_without_make_cpu_client_jaxs_own_cpu_is_used(monkeypatch, change):
     if change == "gone":
         monkeypatch.delattr(xla_client, "make_cpu_client")
     else:

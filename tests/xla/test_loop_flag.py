@@ -1,4 +1,4 @@
-"""Loops that are one kernel: in every command, unless XLA_FLAGS says otherwise."""
+"""Every command compiles a loop into one kernel, unless XLA_FLAGS says otherwise."""
 
 import os
 import subprocess

@@ -1,3 +1,5 @@
+"""Packing a pytree into words keeps every bit."""
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +14,7 @@ from hitl_jax.xla.threefry import make_key
 
 
 def _bits(tree):
-    """Leaves as text; keys by their data."""
+    """Type, shape and bytes of each leaf; keys by their data."""
 
     def data(leaf):
         key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
@@ -21,7 +23,7 @@ def _bits(tree):
     return [(leaf.dtype, leaf.shape, np.asarray(data(leaf)).tobytes()) for leaf in tree]
 
 
-def test_every_bit_comes_back():
+def test_unpacking_gives_every_bit_back():
     tree = {
         "floats": jnp.array([[1.5, -0.0], [jnp.inf, jnp.nan]]),
         "most": jnp.int32(2**31 - 1),
@@ -42,7 +44,7 @@ def test_every_bit_comes_back():
 
 @pytest.mark.parametrize("small", [{}, {"bias": jnp.ones(3), "key": make_key(1)}])
 @pytest.mark.parametrize("large", [{}, {"a": jnp.ones((128, 128)), "z": jnp.zeros(9000)}])
-def test_pieces_are_what_is_packed(small, large):
+def test_pieces_joined_are_the_packed_words(small, large):
     tree = {**small, "middle": jnp.int32(7), **large}
     pieces = to_pieces(tree)
     assert [piece.size for piece in pieces] == piece_sizes(tree)
@@ -52,8 +54,8 @@ def test_pieces_are_what_is_packed(small, large):
     assert _bits(jax.tree.leaves(back)) == _bits(jax.tree.leaves(tree))
 
 
-def test_small_leaves_stand_before_large_ones():
-    """The order is part of what a save means: whoever changes it raises `saves.FORMAT`."""
+def test_small_leaves_come_before_large_ones():
+    """Saved runs depend on the order: a change of it needs a new `saved_run_store.FORMAT`."""
     tree = [jnp.arange(8192), jnp.arange(2), jnp.arange(9000), jnp.arange(8191)]
     order = [tree[1], tree[3], tree[0], tree[2]]
     np.testing.assert_array_equal(pack(tree), np.concatenate(order))

@@ -1,3 +1,5 @@
+"""Keys and draws do not depend on the user's JAX configuration."""
+
 import subprocess
 import sys
 
@@ -16,7 +18,7 @@ print(jax.random.normal(jax.random.split(jax.random.fold_in(key, 3))[1], (), "fl
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2**31, 2**32 - 1])
-def test_a_key_is_of_its_seed(seed):
+def test_a_key_is_its_seed(seed):
     words = jax.random.key_data(make_key(seed))
     np.testing.assert_array_equal(words, np.array([0, seed], np.uint32))
     np.testing.assert_array_equal(jax.random.key_data(wrap_key(words)), words)

@@ -102,7 +102,7 @@ def _tree_of(like: Tree, rows: _Rows) -> Tree:
 def apply_masked(
     work: Callable[[Tree, Other], Tree], needed: jax.Array, state: Tree, context: Other
 ) -> Tree:
-    """Applies the function to the whole batch if any element needs it, and keeps what is needed."""
+    """Applies the function to all if any element needs it; the others keep their old state."""
 
     def worked() -> Tree:
         done = work(state, context)

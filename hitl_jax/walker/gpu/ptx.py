@@ -233,7 +233,7 @@ class PtxWriter:
 
     @contextlib.contextmanager
     def loop(self) -> Iterator[str]:
-        """A loop around what is written within; a branch to the label that is yielded ends it."""
+        """Writes a loop around the `with` block; a branch to the yielded label ends the loop."""
         begin, end = self.label(), self.label()
         self.write(f"{begin}:")
         yield end

@@ -18,7 +18,7 @@ _HULL_EDGES = 6
 """More edges than the hull can touch at once."""
 
 _LIDAR_EDGES = math.ceil(bipedal.LIDAR_REACH[-1][0] / constants.TERRAIN_STEP) + 3
-"""Edges that a ray may meet, with one to spare on either side."""
+"""Edges that a ray may hit, with one more on either side."""
 
 
 def _corners(heights: jax.Array, index: jax.Array) -> Vec:

@@ -69,14 +69,14 @@ def solve_impacts(moved: LegMotion, near: NearbyGround) -> LegMotion:
 
     def one(carry: tuple) -> tuple:
         moved, count, disabled, _ = carry
-        moments = _impact_times(moved, near, count, disabled)
-        moment = moments.min(0)
-        meets = moment < _STEP_END
-        first = meets & (moments == moment) & (count <= _MAX_IMPACTS)
+        times = _impact_times(moved, near, count, disabled)
+        moment = times.min(0)
+        has_impact = moment < _STEP_END
+        first = has_impact & (times == moment) & (count <= _MAX_IMPACTS)
         after, touched = _impact(moved, near, moment, first)
-        lands = meets & touched
+        lands = has_impact & touched
         moved = jax.tree.map(lambda new, old: jnp.where(lands, new, old), after, moved)
-        return moved, count + first, disabled | (first & ~touched), meets.any()
+        return moved, count + first, disabled | (first & ~touched), has_impact.any()
 
     count, disabled = jnp.zeros_like(near.index), jnp.zeros_like(near.index, bool)
     moved, *_ = jax.lax.while_loop(goes, one, (moved, count, disabled, jnp.bool_(True)))

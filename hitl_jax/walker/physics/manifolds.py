@@ -1,7 +1,7 @@
 """Contact manifolds of the legs' parts and the ground's edges, as Box2D computes them.
 
-A part (thigh or shin) touches at most four edges of the ground at once; their manifolds stand in
-four slots. Arrays are [slots, parts, B] where not said otherwise, those of a part alone [parts, B]:
+A part (thigh or shin) touches at most four edges of the ground at once; each has one of four
+slots. Arrays are [slots, parts, B] where not said otherwise, those of a part alone [parts, B]:
 the batch is the last axis.
 
 Source: E. Catto, "Contact Manifolds", GDC 2007, and the behaviour of Box2D 2.3's `b2EPCollider` for
@@ -22,6 +22,7 @@ from hitl_jax.walker.geometry import Pose, Vec, dot, tangent, vec, where
 TOTAL_RADIUS = 2 * constants.POLYGON_RADIUS
 """Separation of two cores at which their skins meet [m] (Box2D's `totalRadius`)."""
 SLOTS = 4
+"""Manifolds that a part can have at once."""
 FIRST_BOX = constants.TERRAIN_LENGTH + 1
 """Numbers of boxes begin here (see `boxes`), those of edges end before it."""
 RELATIVE_TOLERANCE = 0.98

@@ -6,41 +6,25 @@ operation runs along it.
 """
 
 import dataclasses
-import functools
-from collections.abc import Sequence
-from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 
 from hitl_jax.walker import constants, gpu
 from hitl_jax.walker.batching.masked_subset import apply_to_subset
-from hitl_jax.walker.geometry import Pose, Speeds, Vec, dot, pose, tangent, where
-from hitl_jax.walker.gpu.four_threads import solver as four_threads
+from hitl_jax.walker.geometry import Pose, Speeds, Vec, dot, pose, tangent
 from hitl_jax.walker.gpu.kernel import as_kernel
 from hitl_jax.walker.physics import contact_solver, ground, impacts, joints
 from hitl_jax.walker.physics.boxes import NearbyGround
 from hitl_jax.walker.physics.contacts import Contacts, ground_contact_after, match_impulses
+from hitl_jax.walker.physics.island import solve_positions, solve_velocities, with_hull
 from hitl_jax.walker.physics.joints import JointImpulses
 from hitl_jax.walker.physics.manifolds import CORNERS, Manifold, polygon, touching_first
 from hitl_jax.walker.physics.time_of_impact import TOUCHING_DISTANCE, Sweep, may_touch
 from hitl_jax.walker.terrain import Terrain
 
-Tree = TypeVar("Tree")
-
-_ITERATIONS_FOR_ALL = 2
-"""Position iterations that all walkers of a batch make together; most need no more."""
-_FEW_SLOTS = 2
-"""Slots that most shins need: they stand on so many edges at once, at most."""
-_SHINS, _LEGS = (2, 4), (1, 2, 3, 4)
-_PARTS = (len(_LEGS),)
-"""The axis of the legs' parts, for `as_kernel`."""
-_LEAST_SEPARATION = -3 * constants.LINEAR_SLOP
-"""Position iterations end when no contact is deeper [m]."""
-_BAUMGARTE = 0.2
-"""Share of a depth that a position iteration corrects (`b2_baumgarte`)."""
-
-
+_PARTS = (4,)
+"""Axis of the legs' parts, for `as_kernel`."""
 _HULL_CORNERS, _HULL_NORMALS = polygon((constants.HULL_CORNERS - constants.HULL_CENTRE)[None])
 """[corners, 1 for the edges, 1 for the batch]."""
 
@@ -94,14 +78,16 @@ def step(world: World, speed: jax.Array, torque: jax.Array, terrain: Terrain) ->
 
     joint = joints.prepare(bodies, world.angle, speed, torque)
     constraints = contact_solver.ContactConstraints(contact_solver.LEG_INVERSE_MASSES, *rows)
-    speeds, impulses, contact_impulses = _solve_velocities(world, joint, constraints, contacts)
+    speeds, impulses, contact_impulses = solve_velocities(
+        Speeds(world.velocity, world.spin), world.impulses, joint, constraints, contacts
+    )
     contacts = dataclasses.replace(
         contacts, normal=contact_impulses[0], friction=contact_impulses[1]
     )
     speeds, place, angle = impacts.integrate_positions(
         speeds, world.place, world.angle, constants.SECONDS
     )
-    place, angle = _solve_positions(place, angle, joint.side, manifold)
+    place, angle = solve_positions(place, angle, joint.side, manifold)
 
     moved = impacts.LegMotion(
         sweep=Sweep(world.place[1:], world.angle[1:], place[1:], angle[1:]),
@@ -112,13 +98,13 @@ def step(world: World, speed: jax.Array, torque: jax.Array, terrain: Terrain) ->
     )
     ended = pose(place, angle)
     near = ground.near_parts(terrain, legs_left(legs_of(ended)))
-    meets = may_touch(legs_of(ended), near)
-    moved = apply_to_subset(meets, impacts.solve_impacts, moved, near, parts=_PARTS)
+    may_impact = may_touch(legs_of(ended), near)
+    moved = apply_to_subset(may_impact, impacts.solve_impacts, moved, near, parts=_PARTS)
     fallen |= _hull_touches(ended, terrain, TOUCHING_DISTANCE)
     return World(
-        place=_with_hull(place, moved.sweep.end_place),
+        place=with_hull(place, moved.sweep.end_place),
         angle=jnp.concatenate([angle[:1], moved.sweep.end_turn]),
-        velocity=_with_hull(speeds.velocity, moved.speeds.velocity),
+        velocity=with_hull(speeds.velocity, moved.speeds.velocity),
         spin=jnp.concatenate([speeds.spin[:1], moved.speeds.spin]),
         impulses=impulses,
         contacts=moved.contacts,
@@ -148,11 +134,6 @@ def _collide(
     )
 
 
-def _with_hull(bodies: Vec, legs: Vec) -> Vec:
-    """Rows of all bodies [5, B]: the hull's of `bodies` [5, B], then those of `legs` [4, B]."""
-    return Vec(jnp.concatenate([bodies.x[:1], legs.x]), jnp.concatenate([bodies.y[:1], legs.y]))
-
-
 def legs_of(bodies: Pose) -> Pose:
     """The poses of the legs' parts [4, B] from those of all bodies [5, B]."""
     return Pose(bodies.place[1:], bodies.cos[1:], bodies.sin[1:])
@@ -174,191 +155,10 @@ def _hull_touches(bodies: Pose, terrain: Terrain, distance: float) -> jax.Array:
     above = dot(up, corners - edges.start).min(0)
     beside = jnp.minimum(dot(normals, edges.start - corners), dot(normals, edges.end - corners))
     apart = jnp.maximum(above, beside.max(0))
-    meets = ((apart <= distance) & edges.exist).any(0)
+    touches = ((apart <= distance) & edges.exist).any(0)
     if near.boxes is None:
-        return meets
+        return touches
     others = near.boxes.corners
     beside = dot(normals[:, None], others - corners[:, None]).min(1).max(0)
     apart = jnp.maximum(near.boxes.separation(corners), beside)
-    return meets | ((apart <= distance) & near.boxes.exist).any(0)
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class _Motion:
-    """Velocities and impulses within a step.
-
-    Attributes:
-        rows: velocities of the five bodies.
-        joint: impulses of the four joints.
-        normal: normal impulses of the contacts' two points [slots, parts, B].
-        friction: friction impulses of the contacts' two points [slots, parts, B].
-    """
-
-    rows: list[Speeds]
-    joint: list[JointImpulses]
-    normal: contact_solver.Pair
-    friction: contact_solver.Pair
-
-
-def _solve_velocities(
-    world: World,
-    joint: joints.JointConstraints,
-    constraints: contact_solver.ContactConstraints,
-    contacts: Contacts,
-) -> tuple[Speeds, JointImpulses, tuple[contact_solver.Pair, contact_solver.Pair]]:
-    """Velocities after gravity and all velocity iterations, and impulses of joints and contacts.
-
-    Most walkers touch the ground with their shins alone, and each shin on two edges at most. On a
-    CPU all walkers are first solved with those contacts alone; walkers with other contacts are then
-    solved again with all.
-    """
-    gravity = constants.SECONDS * constants.GRAVITY
-    velocity = Vec(world.velocity.x, world.velocity.y + gravity)
-    normal, friction = contact_solver.starting_impulses(constraints, contacts)
-    legs = contact_solver.warm_start(
-        Speeds(velocity[1:], world.spin[1:]), constraints, normal, friction
-    )
-    rows = _rows(_with_hull(velocity, legs.velocity), jnp.concatenate([world.spin[:1], legs.spin]))
-    start_impulses = joints.starting_impulses(joint, world.impulses)
-    rows = joints.warm_start(rows, joint, start_impulses)
-    if gpu.uses_four_threads():
-        return four_threads.velocities(
-            _stacked(rows), start_impulses, (normal, friction), joint, constraints
-        )
-    impulses = [
-        jax.tree.map(lambda leaf, i=i: leaf[i], start_impulses)
-        for i in range(len(constants.JOINTS))
-    ]
-    start = _Motion(rows, impulses, normal, friction)
-
-    touching = contacts.touching
-    many = touching[_FEW_SLOTS:].any((0, 1)) | touching[:, ::2].any((0, 1))
-    if gpu.on_gpu():
-        motion = as_kernel(_iterate_by_need)(many, start, joint, constraints)
-    else:
-        motion = apply_to_subset(
-            many,
-            lambda _, context: _iterate_velocities(*context, _LEGS),
-            _iterate_few_contacts(start, joint, constraints),
-            (start, joint, constraints),
-        )
-    return _stacked(motion.rows), _stacked(motion.joint), (motion.normal, motion.friction)
-
-
-def _iterate_few_contacts(
-    start: _Motion, joint: joints.JointConstraints, constraints: contact_solver.ContactConstraints
-) -> _Motion:
-    """All velocity iterations, with the first `_FEW_SLOTS` contacts of the shins alone."""
-    normal, friction = contact_solver.of_shins((start.normal, start.friction), _FEW_SLOTS)
-    start_impulses = _Motion(start.rows, start.joint, normal, friction)
-    after = _iterate_velocities(
-        start_impulses,
-        joint,
-        contact_solver.only_shins(constraints, _FEW_SLOTS),
-        _SHINS,
-        unroll=True,
-    )
-
-    def placed(all_of: jax.Array, few_of: jax.Array) -> jax.Array:
-        thighs = all_of[:_FEW_SLOTS, ::2]
-        first = jnp.stack([thighs, few_of], axis=2).reshape(_FEW_SLOTS, *all_of.shape[1:])
-        return jnp.concatenate([first, all_of[_FEW_SLOTS:]])
-
-    return _Motion(
-        after.rows,
-        after.joint,
-        jax.tree.map(placed, start.normal, after.normal),
-        jax.tree.map(placed, start.friction, after.friction),
-    )
-
-
-def _iterate_by_need(
-    many: jax.Array,
-    start: _Motion,
-    joint: joints.JointConstraints,
-    constraints: contact_solver.ContactConstraints,
-) -> _Motion:
-    """All velocity iterations, for a kernel: each thread takes all contacts only if `many`."""
-    result: _Motion = jax.lax.cond(
-        many.any(),
-        lambda: _iterate_velocities(start, joint, constraints, _LEGS),
-        lambda: _iterate_few_contacts(start, joint, constraints),
-    )
-    return result
-
-
-def _iterate_velocities(
-    start: _Motion,
-    joint: joints.JointConstraints,
-    constraints: contact_solver.ContactConstraints,
-    bodies: tuple[int, ...],
-    unroll: bool = False,
-) -> _Motion:
-    """All velocity iterations, with the contacts of some bodies; `unroll` is for their slots."""
-
-    def iteration(_: int, motion: _Motion) -> _Motion:
-        rows, impulses = joints.velocity_iteration(motion.rows, joint, motion.joint)
-        legs = _stacked([rows[body] for body in bodies])
-        speeds, normal, friction = contact_solver.velocity_iteration(
-            Speeds(legs.velocity, legs.spin), constraints, motion.normal, motion.friction, unroll
-        )
-        for body, row in zip(bodies, _rows(speeds.velocity, speeds.spin), strict=True):
-            rows[body] = row
-        return _Motion(rows, impulses, normal, friction)
-
-    return jax.lax.fori_loop(0, constants.VELOCITY_ITERATIONS, iteration, start)
-
-
-def _rows(velocity: Vec, spin: jax.Array) -> list[Speeds]:
-    return [Speeds(Vec(velocity.x[i], velocity.y[i]), spin[i]) for i in range(spin.shape[0])]
-
-
-def _stacked(trees: Sequence[Tree]) -> Tree:
-    result: Tree = jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
-    return result
-
-
-def _solve_positions(
-    place: Vec, angle: jax.Array, side: jax.Array, manifold: Manifold
-) -> tuple[Vec, jax.Array]:
-    """Places and angles after the position iterations; most walkers need one or two."""
-    if gpu.uses_four_threads():
-        return four_threads.positions(place, angle, side, manifold, _BAUMGARTE, _LEAST_SEPARATION)
-    carry, context = (place, angle, jnp.ones(angle.shape[1:], bool)), (side, manifold)
-    if gpu.on_gpu():
-        place, angle, _ = as_kernel(functools.partial(_iterate_positions, 0))(carry, context)
-        return place, angle
-    carry = jax.lax.fori_loop(
-        0, _ITERATIONS_FOR_ALL, lambda _, carry: _position_iteration(carry, *context), carry
-    )
-    later = functools.partial(_iterate_positions, _ITERATIONS_FOR_ALL)
-    place, angle, _ = apply_to_subset(carry[2], later, carry, context)
-    return place, angle
-
-
-def _iterate_positions(made: int, carry: tuple, context: tuple) -> tuple:
-    """Position iterations after the first `made`, while a walker needs one and more are allowed."""
-
-    def goes(counted: tuple) -> jax.Array:
-        return counted[1][2].any() & (counted[0] < constants.POSITION_ITERATIONS)
-
-    def one(counted: tuple) -> tuple:
-        return counted[0] + 1, _position_iteration(counted[1], *context)
-
-    result: tuple = jax.lax.while_loop(goes, one, (made, carry))[1]
-    return result
-
-
-def _position_iteration(carry: tuple, side: jax.Array, manifold: Manifold) -> tuple:
-    """One position iteration: places, angles, and which walkers need another, bool [B]."""
-    place, angle, active = carry
-    legs, turns, least = contact_solver.position_iteration(
-        place[1:], angle[1:], manifold, contact_solver.LEG_INVERSE_MASSES, _BAUMGARTE
-    )
-    places = [Vec(place.x[0], place.y[0])]
-    places += [Vec(legs.x[i], legs.y[i]) for i in range(4)]
-    places, all_turns, good = joints.position_iteration(places, [angle[0], *turns], side)
-    place = where(active, _stacked(places), place)
-    angle = jnp.where(active, jnp.stack(all_turns), angle)
-    return place, angle, active & ~(good & (least >= _LEAST_SEPARATION).all(0))
+    return touches | ((apart <= distance) & near.boxes.exist).any(0)
