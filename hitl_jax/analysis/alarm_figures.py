@@ -158,7 +158,7 @@ def _figure(methods: dict[str, _Counts], folder: ResultsFolder) -> Figure | None
         f"drawn where a share is of at least {_FEW} steps, alarms or falls"
     )
     place: dict[str, Any] = {"loc": "outside lower center", "ncols": 3 if columns > 1 else 1}
-    figure.legend(handles=marks, title=title, **place).get_title().set_ha("center")
+    figure.legend(handles=marks, title=title, **place).get_title().set_multialignment("center")
     return figure
 
 

@@ -27,7 +27,7 @@ def speed(results: ComparedRuns) -> Claim:
         curves = np.array([_trailing_returns(run) for run in results.runs[method]])
         passages.append(np.array([_passage(curves[seeds]) for seeds in drawn]))
         ends = (_passage(curves), *stats.interval_of(passages[-1]))
-        cells.append(_cell(method, [_episode(end) for end in ends]))
+        cells.append(_cell(method, [_episode(float(end)) for end in ends]))
     srl, fix, ac = passages
     verdict, share = in_resamples((ac <= _EARLY) & (ac < fix) & (fix < srl), passages)
     return Claim(

@@ -23,6 +23,7 @@ class MethodData(NamedTuple):
         tests: of each run that was tested.
         points: training episodes until each test during training, [P].
         progress: mean return of each of those tests, [P], of each run that was so tested.
+        progress_episodes: of each of those tests.
     """
 
     name: str
@@ -32,6 +33,7 @@ class MethodData(NamedTuple):
     tests: list[Table]
     points: np.ndarray
     progress: list[np.ndarray]
+    progress_episodes: int
 
     def column(self, name: str) -> list[np.ndarray]:
         """A column of the training episodes of each run."""
@@ -112,7 +114,9 @@ def load(folder: ResultsFolder) -> FigureData:
             # All runs of a folder have the same points.
             progress = [returns for _, returns in often]
             tests = [run.tests for run in tested]
-            methods.append(MethodData(name, training, played, len(begun), tests, points, progress))
+            each = max((run.progress["episode"].max(initial=0) for run in tested), default=0)
+            shown = (name, training, played, len(begun), tests, points, progress, int(each))
+            methods.append(MethodData(*shown))
     longest = max((len(t["episode"]) for m in methods for t in m.training), default=0)
     window = int(np.clip(longest // 10, 20, 100))
     rule, tolerance = _boundary_rule(folder.load_config()), tolerance_in(folder)

@@ -259,7 +259,7 @@ def legend(
     length = 3.5 if marks else None  # room for a dash on either side of a marker
     handles = [*lines, *others]
     place: dict[str, Any] = {"loc": "outside lower center", "handlelength": length}
-    figure.legend(handles=handles, title=title, **place).get_title().set_ha("center")
+    figure.legend(handles=handles, title=title, **place).get_title().set_multialignment("center")
 
 
 def save(figure: Figure, stem: pathlib.Path) -> list[pathlib.Path]:

@@ -57,7 +57,7 @@ def tests(data: FigureData) -> Figure | None:
     marks = [
         line_mark(color=GREY, marker="o", markerfacecolor=face, label=label, linestyle=style)
         for face, style, label in (
-            (GREY, "-", "autonomous (on the right with the bootstrap 95 % interval of the mean)"),
+            (GREY, "-", "autonomous (right: with bootstrap 95 % interval of the mean)"),
             ("white", "-", "assisted by the human"),
         )
     ]
@@ -78,7 +78,7 @@ def over_training(data: FigureData) -> Figure | None:
         lines.append(draw_curve(axes, m.name, curve))
         lines[-1].set(marker="o", markersize=4)
     axes.set(xlabel="training episodes before the test")
-    axes.set(ylabel="autonomous test return,\nmean of the test's episodes")
+    axes.set(ylabel=f"autonomous test return\n(mean of {methods[0].progress_episodes} episodes)")
     mark_solved(axes, "solved")
     legend(figure, lines)
     return figure

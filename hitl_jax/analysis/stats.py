@@ -169,7 +169,7 @@ def bootstrap_interval(
     lost = np.isnan(statistic(curves, 1))
     low[lost] = high[lost] = np.nan
     shape = values.shape[1:]
-    return low.reshape(shape), high.reshape(shape)
+    return low.reshape(shape)[()], high.reshape(shape)[()]
 
 
 def probability_of_improvement(x: np.ndarray, y: np.ndarray) -> Estimate:
