@@ -70,3 +70,18 @@ def test_in_the_committed_report_and_summary(name):
     cell = _rows(report)["How sure that order is"][2]
     assert f"HITL-FIX over SRL {told['hitl-fix over srl'][0]}" in cell
     assert f"HITL-AC over HITL-FIX {told['hitl-ac over hitl-fix'][0]}" in cell
+
+
+@pytest.mark.parametrize("path", sorted(_RESULTS.glob("*/summary.md")), ids=lambda p: p.parent.name)
+def test_in_the_page_about_the_folders(path):
+    told, means = (
+        _rows(part)["autonomous test return"]
+        for part in path.read_text().split("## Interquartile mean over seeds")[1].split("## Mean")
+    )
+    parts = re.split(r"^## ", (_RESULTS / "README.md").read_text(), flags=re.MULTILINE)
+    [page] = [part for part in parts if part.startswith(f"{path.parent.name}\n")]
+    for label, cells in _rows(page).items():
+        if label.startswith("autonomous test return, interquartile mean"):
+            assert cells == told
+        elif label.startswith("autonomous test return, mean"):
+            assert cells == means
