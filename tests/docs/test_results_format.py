@@ -32,11 +32,11 @@ def test_tables_name_what_is_written_in_its_order(heading, columns):
     assert first_column(section(PAGE, heading)) == list(columns)
 
 
-def test_arrays_of_recorded_episodes():
+def test_arrays_of_recorded_episodes(tmp_path):
     arrays, columns = np.load(RUN / "episodes.npz"), list(STEP_COLUMNS)
     names = first_column(section(PAGE, EPISODES))
     assert sorted(names[:-5]) == sorted(arrays.files) and names[-5:] == columns
-    made = run(python_in(section(PAGE, EPISODES))[0], RUN)
+    made = run(python_in(section(PAGE, EPISODES))[0], tmp_path)
     steps = arrays["best/steps"]
     assert np.array_equal(made["action"], steps[:, :4])
     assert np.array_equal(made["boundary"], steps[:, 4 + columns.index("boundary")])
