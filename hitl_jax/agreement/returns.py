@@ -31,10 +31,9 @@ def measure_scripted(episodes: int, env_id: str) -> list[Row]:
         with make_pool(backend, min(_WALKERS, episodes), env_id=env_id) as pool:
             returns.append(_scripted_returns(pool, episodes))
     there, here = returns
-    rng = np.random.default_rng(stats.SEED)
     rows: list[Row] = []
     for name, values in (("Box2D", there), ("hitl_jax.walker", here)):
-        low, high = stats.bootstrap_interval(values, stats.mean, rng)
+        low, high = stats.bootstrap_interval(values, stats.mean)
         rows.append(
             {
                 "scripted walker": name,

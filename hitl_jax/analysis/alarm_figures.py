@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hitl_jax.analysis import stats
+from hitl_jax.analysis.figure_data import boundary_label, tolerance_in
 from hitl_jax.analysis.figure_style import (
-    GREY,
     PAGE,
     Drawn,
     attempt,
@@ -19,8 +19,8 @@ from hitl_jax.analysis.figure_style import (
     panels,
     patch_mark,
     save,
+    threshold_line,
 )
-from hitl_jax.analysis.figures import boundary_label, tolerance_in
 from hitl_jax.analysis.summary import STEPS_PER_SECOND
 from hitl_jax.results.atomic_files import named_errors, read_bytes
 from hitl_jax.results.episode_measures import ALARM_WINDOW
@@ -40,7 +40,6 @@ _COUNTS = ("steps", "alarms", "timely_alarms", "falls", "warned_falls", "lead_st
 COLUMNS = ("method", "seed", "boundary", *_COUNTS)
 """Of the file: counts of a run's test at a boundary."""
 
-_RESAMPLES = 1000
 _FEW = 20
 """Alarmed steps, or falls, below which a share says nothing."""
 
@@ -63,8 +62,9 @@ def draw(folder: ResultsFolder) -> Drawn:
     with named_errors(path):
         methods = _load(read_bytes(path).decode())
 
-    def make() -> list[pathlib.Path]:
-        return save(_figure(methods, folder), folder.path / "figures" / _NAME)
+    def make() -> list[pathlib.Path] | None:
+        figure = _figure(methods, folder)
+        return None if figure is None else save(figure, folder.path / "figures" / _NAME)
 
     return attempt({_NAME: make})
 
@@ -106,27 +106,44 @@ def _of_method(numbers: dict[str, np.ndarray]) -> _Counts:
     )
 
 
-def _figure(methods: dict[str, _Counts], folder: ResultsFolder) -> Figure:
-    figure, axes_of = panels(2, 2, (PAGE, 5.2), sharex=True)
-    window = f"{ALARM_WINDOW / STEPS_PER_SECOND:g} s"
-    shares = (
-        ("alarms", "steps", "steps with an alarm [share]"),
-        ("timely_alarms", "alarms", f"alarms with a fall\nwithin {window} [share]"),
-        ("warned_falls", "falls", f"falls with an alarm\nin the last {window} [share]"),
-        ("lead_steps", "warned_falls", "from first alarm to fall [s]"),
-    )
-    rng = np.random.default_rng(stats.SEED)
+class _Share(NamedTuple):
+    """A panel: the sum over seeds of one count over that of another."""
+
+    part: str
+    whole: str
+    label: str
+
+
+_WINDOW = f"{ALARM_WINDOW / STEPS_PER_SECOND:g} s"
+_SHARES = (
+    _Share("alarms", "steps", "steps with an alarm [share]"),
+    _Share("timely_alarms", "alarms", f"alarms with a fall\nwithin {_WINDOW} [share]"),
+    _Share("warned_falls", "falls", f"falls with an alarm\nin the last {_WINDOW} [share]"),
+    _Share("lead_steps", "warned_falls", "from first alarm to fall [s]"),
+)
+
+
+def _figure(methods: dict[str, _Counts], folder: ResultsFolder) -> Figure | None:
+    """None where no share has enough counts."""
+    shares = [
+        s for s in _SHARES if any(_enough(of.counts[s.whole]).any() for of in methods.values())
+    ]
+    if not shares:
+        return None
+    columns = min(len(shares), 2)
+    rows = -(-len(shares) // columns)
+    figure, axes_of = panels(rows, columns, (PAGE * columns / 2, 1.2 + 2.0 * rows))
+    for spare in axes_of[len(shares) :]:
+        spare.remove()
+    axes_of = axes_of[: len(shares)]
     for axes, (part, whole, label) in zip(axes_of, shares, strict=True):
         scale = 1.0 / STEPS_PER_SECOND if part == "lead_steps" else 1.0
         for method, (_, boundaries, counts) in methods.items():
-            _draw_share(axes, boundaries, counts[part] * scale, counts[whole], method, rng)
-        if not axes.lines:
-            axes.text(0.66, 0.5, f"fewer than {_FEW} falls", ha="center", transform=axes.transAxes)
-        axes.set(ylabel=label)
+            _draw_share(axes, boundaries, counts[part] * scale, counts[whole], method)
+        axes.set(xlabel=boundary_label(folder), ylabel=label)
         axes.set_ylim(bottom=0.0)
-    axes_of[0].set(yscale="log", ylim=(1e-5, 1.5))
-    for axes in axes_of[2:]:
-        axes.set(xlabel=boundary_label(folder))
+        if part == "alarms":
+            axes.set(yscale="log", ylim=(1e-5, 1.5))
     marks = [
         line_mark(
             label=method_label(method, len(of.seeds), "no band"),
@@ -136,27 +153,31 @@ def _figure(methods: dict[str, _Counts], folder: ResultsFolder) -> Figure:
         for method, of in methods.items()
     ]
     marks += _mark_boundaries(axes_of, methods, folder)
-    title = "all seeds together; band: bootstrap 95 % interval over seeds"
-    figure.legend(handles=marks, title=title, loc="outside lower center", ncols=3)
+    title = (
+        "all seeds together; band: bootstrap 95 % interval over seeds\n"
+        f"drawn where a share is of at least {_FEW} steps, alarms or falls"
+    )
+    place: dict[str, Any] = {"loc": "outside lower center", "ncols": 3 if columns > 1 else 1}
+    figure.legend(handles=marks, title=title, **place).get_title().set_multialignment("center")
     return figure
 
 
+def _enough(whole: np.ndarray) -> np.ndarray:
+    """Where a share of a count [S, M] says something, bool [M]."""
+    return whole.sum(0) >= _FEW
+
+
 def _draw_share(
-    axes: Axes,
-    x: np.ndarray,
-    part: np.ndarray,
-    whole: np.ndarray,
-    method: str,
-    rng: np.random.Generator,
+    axes: Axes, x: np.ndarray, part: np.ndarray, whole: np.ndarray, method: str
 ) -> None:
     """Sum over seeds of `part` over that of `whole`, [S, M], where there are enough to say."""
-    enough = whole.sum(0) >= _FEW
+    enough = _enough(whole)
     if not enough.any():
         return
     x, part, whole = x[enough], part[:, enough], whole[:, enough]
     style = line_style(method)
     axes.plot(x, part.sum(0) / whole.sum(0), linewidth=1.6, **style)
-    drawn = rng.integers(len(part), size=(_RESAMPLES, len(part)))
+    drawn = stats.resampled_seeds(len(part))
     parts, wholes = part[drawn].sum(1), whole[drawn].sum(1)
     ratio = np.where(wholes > 0, parts / np.maximum(wholes, 1.0), np.nan)
     low, high = np.nanquantile(ratio, [0.025, 0.975], axis=0)
@@ -170,8 +191,8 @@ def _mark_boundaries(
     marks: list[Any] = []
     tolerance = tolerance_in(folder)
     if tolerance is not None:
-        threshold: dict[str, Any] = {"color": GREY, "linewidth": 0.9, "linestyle": "--"}
-        marks.append(line_mark(label="the human's tolerance", **threshold))
+        threshold = threshold_line(tolerance)
+        marks.append(line_mark(**threshold))
         for axes in axes_of:
             axes.axvline(tolerance, **threshold)
     if "hitl-ac" in methods:

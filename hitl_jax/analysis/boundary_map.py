@@ -4,8 +4,8 @@ import pathlib
 
 import numpy as np
 
+from hitl_jax.analysis.figure_data import boundary_label, tolerance_in
 from hitl_jax.analysis.figure_style import COLUMN, GREY, Drawn, attempt, panels, save
-from hitl_jax.analysis.figures import boundary_label, tolerance_in
 from hitl_jax.results.atomic_files import named_errors, read_bytes, write_text_atomic
 from hitl_jax.results.episode_tables import numbers_from_csv
 from hitl_jax.results.folder import ResultsFolder

@@ -23,6 +23,7 @@ class Curve(NamedTuple):
         low: the band's lower edge, [T].
         high: the band's upper edge, [T].
         seeds: S; with one seed the band is the curve itself.
+        seeds_at: how many of them reach each point, [T].
     """
 
     x: np.ndarray
@@ -30,15 +31,15 @@ class Curve(NamedTuple):
     low: np.ndarray
     high: np.ndarray
     seeds: int
+    seeds_at: np.ndarray
 
 
-def over_episodes(values: list[np.ndarray], window: int, rng: np.random.Generator) -> Curve:
+def over_episodes(values: list[np.ndarray], window: int) -> Curve:
     """The interquartile mean over seeds of a trailing mean, over episodes.
 
     Args:
         values: one for each episode of each seed, S >= 1 arrays [T_s], none of them empty.
         window: episodes in the trailing mean.
-        rng: drawn from for the band.
 
     Returns:
         The curve; x counts episodes from 1.
@@ -47,12 +48,10 @@ def over_episodes(values: list[np.ndarray], window: int, rng: np.random.Generato
     last = max(map(len, series))
     episodes = np.unique(np.linspace(1, last, min(last, MAX_POINTS)).astype(int))
     reached = [y[episodes[episodes <= len(y)] - 1] for y in series]
-    return over_seeds(episodes, reached, stats.interquartile_mean, rng)
+    return over_seeds(episodes, reached, stats.interquartile_mean)
 
 
-def over_steps(
-    steps: list[np.ndarray], values: list[np.ndarray], window: int, rng: np.random.Generator
-) -> Curve:
+def over_steps(steps: list[np.ndarray], values: list[np.ndarray], window: int) -> Curve:
     """The interquartile mean over seeds of a trailing mean, over environment steps.
 
     Interpolated on a grid from 0; before the end of the first episode its value stands.
@@ -61,7 +60,6 @@ def over_steps(
         steps: for each seed the steps so far at the end of each episode, [T_s].
         values: one for each episode of each seed, [T_s].
         window: episodes in the trailing mean.
-        rng: drawn from for the band.
 
     Returns:
         The curve; x is in the unit of `steps`.
@@ -71,14 +69,13 @@ def over_steps(
         np.interp(grid[grid <= x[-1]], x, stats.trailing_mean(y, window))
         for x, y in zip(steps, values, strict=True)
     ]
-    return over_seeds(grid, reached, stats.interquartile_mean, rng)
+    return over_seeds(grid, reached, stats.interquartile_mean)
 
 
 def over_seeds(
     x: np.ndarray,
     curves: list[np.ndarray],
     statistic: stats.Statistic,
-    rng: np.random.Generator,
 ) -> Curve:
     """A statistic over seeds whose curves are beginnings, of different lengths, of one grid.
 
@@ -86,7 +83,6 @@ def over_seeds(
         x: the grid, [T].
         curves: one for each seed, [T_s] with T_s <= T.
         statistic: over seeds.
-        rng: drawn from for the band.
 
     Returns:
         The curve as far as half of the seeds reach.
@@ -94,12 +90,13 @@ def over_seeds(
     lengths = np.array([len(curve) for curve in curves])
     end = np.sort(lengths)[len(lengths) // 2]
     centre, low, high = (np.empty(end) for _ in range(3))
+    seeds_at = (lengths > np.arange(end)[:, None]).sum(1)
     start = 0
     # Between two consecutive lengths the seeds that have data are the same.
     for stop in np.unique(np.minimum(lengths, end)):
         part = slice(start, stop)
         values = np.stack([curve[part] for curve in curves if len(curve) >= stop])
         centre[part] = statistic(values, 0)
-        low[part], high[part] = stats.bootstrap_interval(values, statistic, rng)
+        low[part], high[part] = stats.bootstrap_interval(values, statistic)
         start = stop
-    return Curve(x[:end], centre, low, high, len(curves))
+    return Curve(x[:end], centre, low, high, len(curves), seeds_at)

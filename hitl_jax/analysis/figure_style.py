@@ -14,7 +14,7 @@ import io
 import os
 import pathlib
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -36,6 +36,7 @@ GREY = "#444444"
 _DASHES: dict[str, tuple[float, ...]] = {"srl": (1.2, 1.2), "hitl-fix": (5.0, 1.6), "hitl-ac": ()}
 COLUMN, PAGE = 4.2, 7.2  # inches; shrunk to a paper's 3.5 and 7.2, 9 point is at least 7.5
 _DOTS_PER_INCH = 250
+_BAR = "|"
 _STYLE: Any = {
     "font.size": 9.0,
     "legend.fontsize": 8.0,
@@ -159,7 +160,7 @@ def patch_mark(**looks: Any) -> Patch:
 
 
 def draw_curve(axes: Axes, name: str, curve: Curve, unfinished: int = 0) -> Line2D:
-    """A method's curve with its band.
+    """A method's curve with its band; a bar on it stands where the first seed has no more data.
 
     Args:
         axes: where.
@@ -167,8 +168,11 @@ def draw_curve(axes: Axes, name: str, curve: Curve, unfinished: int = 0) -> Line
         curve: over seeds.
         unfinished: how many of the seeds are under way.
     """
-    label = method_label(name, curve.seeds, "no band", unfinished)
+    label = method_label(name, curve.seeds, "no band", unfinished, curve.seeds_at[-1])
     [line] = axes.plot(curve.x, curve.centre, label=label, linewidth=1.6, **line_style(name))
+    complete = int((curve.seeds_at == curve.seeds).sum())
+    if 0 < complete < len(curve.x):
+        line.set(marker=_BAR, markersize=9, markevery=[complete - 1])
     draw_band(axes, curve, line_style(name)["color"])
     return line
 
@@ -179,12 +183,30 @@ def draw_band(axes: Axes, curve: Curve, colour: str) -> None:
         axes.fill_between(curve.x, curve.low, curve.high, color=colour, alpha=0.18, linewidth=0)
 
 
-def method_label(name: str, seeds: int, without: str, unfinished: int = 0) -> str:
-    """A method's name with its number of seeds; `without` says what one seed cannot have."""
-    label = (
-        f"{name.upper()} ({seeds} seeds" if seeds > 1 else f"{name.upper()} ({without}: one seed"
-    )
-    return label + f", {unfinished} unfinished)" if unfinished else label + ")"
+def method_label(
+    name: str, seeds: int, without: str, unfinished: int = 0, last: int | None = None
+) -> str:
+    """A method's name with its number of seeds.
+
+    Args:
+        name: of the method.
+        seeds: how many it has.
+        without: what one seed cannot have.
+        unfinished: how many of the seeds are under way.
+        last: how many reach the end of the curve; None without a curve.
+    """
+    told = [f"{seeds} seeds" if seeds > 1 else f"{without}: one seed"]
+    if last is not None and last < seeds:
+        told.append(f"{last} at the end")
+    if unfinished:
+        told.append(f"{unfinished} unfinished")
+    return f"{name.upper()} ({', '.join(told)})"
+
+
+def threshold_line(tolerance: float) -> dict[str, Any]:
+    """Looks and label of the human's own threshold [rad], as matplotlib's arguments."""
+    label = f"the human's threshold, {tolerance:g} rad"
+    return {"color": GREY, "linewidth": 0.9, "linestyle": "--", "label": label}
 
 
 def line_style(name: str) -> dict[str, Any]:
@@ -212,12 +234,32 @@ def panels(
     return figure, list(figure.subplots(rows, columns, sharex=sharex, squeeze=False).flat)
 
 
-def legend(figure: Figure, lines: list[Line2D]) -> None:
-    """The legend of curves over seeds, below all panels."""
-    title = "interquartile mean over seeds; band: bootstrap 95 % interval"
-    marked = any(line.get_marker() != "None" for line in lines)
-    length = 3.5 if marked else None  # room for a dash on either side of a marker
-    figure.legend(handles=lines, title=title, loc="outside lower center", handlelength=length)
+def legend(
+    figure: Figure,
+    lines: list[Line2D],
+    others: Sequence[Line2D] = (),
+    band: str = "band",
+    window: int | None = None,
+) -> None:
+    """The legend of curves over seeds, below all panels.
+
+    Args:
+        figure: drawn.
+        lines: of `draw_curve`.
+        others: what else there is.
+        band: what the bands are called.
+        window: episodes that a point is the mean of; None where it is of one.
+    """
+    title = f"interquartile mean over seeds; {band}: bootstrap 95 % interval"
+    marks = {line.get_marker() for line in lines} - {"None"}
+    if _BAR in marks:
+        title += "\nright of the bar on a curve: over the seeds that got so far"
+    if window:
+        title += f"\nbefore episode {window}: means of the episodes so far"
+    length = 3.5 if marks else None  # room for a dash on either side of a marker
+    handles = [*lines, *others]
+    place: dict[str, Any] = {"loc": "outside lower center", "handlelength": length}
+    figure.legend(handles=handles, title=title, **place).get_title().set_multialignment("center")
 
 
 def save(figure: Figure, stem: pathlib.Path) -> list[pathlib.Path]:

@@ -1,15 +1,19 @@
 """Statistics over seeds: interquartile mean, bootstrap intervals, probability of improvement.
 
-Pure numpy. The seed axis comes first and is called S. Whatever draws at random takes the caller's
-`np.random.Generator`. The recommendations followed are those of Agarwal et al. 2021, "Deep
-reinforcement learning at the edge of the statistical precipice"
+Pure numpy. The seed axis comes first and is called S. The recommendations followed are those of
+Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical precipice"
 (https://arxiv.org/abs/2108.13264), whose library is rliable.
+
+All intervals come from `resampled_seeds`, which draws the same resamples each time. So the same
+values have the same interval in every table, report and figure, and methods that have the same
+seeds are resampled together.
 
 With one seed there is nothing to resample: an interval is then the point itself, [x, x], and must
 be shown as "no interval: one seed", never as certainty.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +21,11 @@ Statistic = Callable[[np.ndarray, int], np.ndarray]
 """Maps (values, axis) to the values with that axis reduced."""
 
 SEED = 0
-"""Of the generators that commands draw intervals from: the same data give the same intervals."""
+"""Of the generator that draws all resamples."""
+
+RESAMPLES = 2000
+LEVEL = 0.95
+"""Coverage of an interval."""
 
 _CHUNK_ELEMENTS = 2_000_000
 """Elements of resampled values held at once: 16 MB, so that long curves need little memory."""
@@ -26,6 +34,11 @@ _CHUNK_ELEMENTS = 2_000_000
 def mean(x: np.ndarray, axis: int) -> np.ndarray:
     """The arithmetic mean along `axis`."""
     return np.mean(x, axis=axis)
+
+
+def median(x: np.ndarray, axis: int) -> np.ndarray:
+    """The median along `axis`; infinite if one of two values in the middle is."""
+    return np.median(x, axis=axis)
 
 
 def interquartile_mean(x: np.ndarray, axis: int) -> np.ndarray:
@@ -50,12 +63,79 @@ def interquartile_mean(x: np.ndarray, axis: int) -> np.ndarray:
     return np.where(np.isnan(x[..., -1]), np.nan, middle)
 
 
+class Estimate(NamedTuple):
+    """A statistic over seeds with its bootstrap 95 % interval.
+
+    `f"{estimate:.1f}"` is "3.0 [2.1, 4.2]", and "3.0" where there is one seed.
+
+    Attributes:
+        value: the statistic of all seeds.
+        low: lower end of the interval.
+        high: upper end of the interval.
+        seeds: S; with one seed both ends are the value.
+    """
+
+    value: float
+    low: float
+    high: float
+    seeds: int
+
+    def __format__(self, spec: str) -> str:
+        value, low, high = (format(number, spec) for number in self[:3])
+        return f"{value} [{low}, {high}]" if self.seeds > 1 else value
+
+
+def estimate(values: np.ndarray, statistic: Statistic) -> Estimate:
+    """A statistic over seeds with its interval.
+
+    Args:
+        values: one value for each seed, [S].
+        statistic: what is estimated, for example `interquartile_mean`.
+
+    Raises:
+        ValueError: if there is no seed.
+    """
+    low, high = bootstrap_interval(values, statistic)
+    return Estimate(float(statistic(values, 0)), float(low), float(high), len(values))
+
+
+def resampled_seeds(seeds: int, resamples: int = RESAMPLES) -> np.ndarray:
+    """Which seeds each resample holds: S of S, drawn with replacement, the same at each call.
+
+    Args:
+        seeds: S.
+        resamples: number of resamples.
+
+    Returns:
+        Indices of seeds, [resamples, S].
+    """
+    return np.random.default_rng(SEED).integers(seeds, size=(resamples, seeds))
+
+
+def interval_of(resampled: np.ndarray, level: float = LEVEL) -> tuple[np.ndarray, np.ndarray]:
+    """The percentile interval of a statistic.
+
+    Its ends are values of resamples, with nothing interpolated: some can be infinite, where an
+    event never happens.
+
+    Args:
+        resampled: the statistic of each resample, [..., resamples].
+        level: coverage, between 0 and 1.
+
+    Returns:
+        (low, high), each [...]; NaN where a resample is NaN.
+    """
+    return (
+        np.quantile(resampled, (1.0 - level) / 2.0, axis=-1, method="lower"),
+        np.quantile(resampled, (1.0 + level) / 2.0, axis=-1, method="higher"),
+    )
+
+
 def bootstrap_interval(
     values: np.ndarray,
     statistic: Statistic,
-    rng: np.random.Generator,
-    resamples: int = 2000,
-    level: float = 0.95,
+    resamples: int = RESAMPLES,
+    level: float = LEVEL,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Percentile bootstrap interval of a statistic over seeds.
 
@@ -65,7 +145,6 @@ def bootstrap_interval(
     Args:
         values: one value a seed, [S], or one curve a seed, [S, T].
         statistic: what is estimated, for example `interquartile_mean`.
-        rng: drawn from; the same state gives the same interval.
         resamples: number of resamples.
         level: coverage, between 0 and 1.
 
@@ -78,35 +157,22 @@ def bootstrap_interval(
     values = np.asarray(values, dtype=float)
     if values.ndim not in (1, 2) or values.shape[0] == 0:
         raise ValueError(f"values have shape {values.shape}: must be [S] or [S, T] with S >= 1")
-    seeds = values.shape[0]
-    drawn = rng.integers(seeds, size=(resamples, seeds))
-    quantiles = [(1.0 - level) / 2.0, (1.0 + level) / 2.0]
-    if values.ndim == 1:
-        low, high = _quantiles(statistic(values[drawn], 1), quantiles, statistic(values, 0))
-        return low, high
+    drawn = resampled_seeds(len(values), resamples)
     # Seeds last, [T, resamples, S], so that the statistic walks through memory in order.
-    curves = np.ascontiguousarray(values.T)
+    curves = np.ascontiguousarray(values.reshape(len(values), -1).T)
     low, high = np.empty(len(curves)), np.empty(len(curves))
     points = max(1, _CHUNK_ELEMENTS // drawn.size)
     for start in range(0, len(curves), points):
         part = slice(start, start + points)
-        resampled = statistic(curves[part][:, drawn], 2)
-        low[part], high[part] = _quantiles(resampled, quantiles, statistic(curves[part], 1))
-    return low, high
+        low[part], high[part] = interval_of(statistic(curves[part][:, drawn], 2), level)
+    # NaN where the statistic of all seeds is, whether that seed was drawn or not.
+    lost = np.isnan(statistic(curves, 1))
+    low[lost] = high[lost] = np.nan
+    shape = values.shape[1:]
+    return low.reshape(shape)[()], high.reshape(shape)[()]
 
 
-def _quantiles(resampled: np.ndarray, quantiles: list[float], of_all: np.ndarray) -> np.ndarray:
-    """Quantiles along the last axis; NaN where the statistic of all seeds is, drawn or not."""
-    return np.where(np.isnan(of_all), np.nan, np.quantile(resampled, quantiles, axis=-1))
-
-
-def probability_of_improvement(
-    x: np.ndarray,
-    y: np.ndarray,
-    rng: np.random.Generator,
-    resamples: int = 2000,
-    level: float = 0.95,
-) -> tuple[float, float, float]:
+def probability_of_improvement(x: np.ndarray, y: np.ndarray) -> Estimate:
     """How often X beats Y on the same seed: mean(x > y) + ½ mean(x = y).
 
     Paired by seed, unlike rliable, which compares every run of X with every run of Y: here runs of
@@ -115,13 +181,9 @@ def probability_of_improvement(
     Args:
         x: X's score for each seed, [S].
         y: Y's score for the same seeds in the same order, [S].
-        rng: drawn from for the interval.
-        resamples: number of resamples of the pairs.
-        level: coverage, between 0 and 1.
 
     Returns:
-        (probability, low, high). With S = 1 all three are equal. NaN where a score is NaN: it
-        neither wins nor loses.
+        The probability with its interval. NaN where a score is NaN: it neither wins nor loses.
 
     Raises:
         ValueError: if the shapes differ or there is no pair.
@@ -130,8 +192,7 @@ def probability_of_improvement(
     if x.shape != y.shape or x.ndim != 1:
         raise ValueError(f"x {x.shape} and y {y.shape}: must be [S], one score for each seed")
     wins = np.where(np.isnan(x) | np.isnan(y), np.nan, (x > y) + 0.5 * (x == y))
-    low, high = bootstrap_interval(wins, mean, rng, resamples, level)
-    return float(np.mean(wins)), float(low), float(high)
+    return estimate(wins, mean)
 
 
 def trailing_mean(x: np.ndarray, window: int) -> np.ndarray:

@@ -72,7 +72,6 @@ _MEASURES = (
     ("alarm_recall", "test: share of falls with an alarm in the k steps before", 2),
     ("alarm_lead_seconds", "test: time from the first such alarm to the fall [s]", 2),
     ("final_boundary", "boundary at the end of training", 3),
-    ("wall_seconds", "wall-clock time of the run [s]", 0),
 )
 """(column, name, decimals) of the measures in summary.md."""
 
@@ -84,7 +83,10 @@ other seeds of this setting, not of other tasks, and with fewer than about five 
 narrow; what is the same in all seeds gets no width, and one seed has no interval. "(n = 7)" marks a
 measure that only 7 of the finished seeds have, "–" one that none has. For alarms and falls, k is
 the window that the runs were recorded with. A probability of improvement of 0.5 is no difference,
-and an interval that holds 0.5 decides nothing."""
+and an interval that holds 0.5 decides nothing. A median counts a seed that never reaches a mark as
+infinitely late. `wall_seconds` in summary.csv is from the first step of a run to the end of its
+tests, beside the other runs of its batch on the same processor: it is not what the run alone
+costs."""
 
 
 def summarise(folder: ResultsFolder) -> tuple[Row, ...]:
@@ -96,12 +98,11 @@ def summarise(folder: ResultsFolder) -> tuple[Row, ...]:
     return tuple(summarise_run(run) for run in folder.load_all())
 
 
-def write_summary(folder: ResultsFolder, rng: np.random.Generator) -> list[pathlib.Path]:
+def write_summary(folder: ResultsFolder) -> list[pathlib.Path]:
     """Writes summary.csv, a row for each finished run, and summary.md, the methods compared.
 
     Args:
         folder: the results.
-        rng: drawn from for the bootstrap intervals.
 
     Returns:
         The two files.
@@ -118,7 +119,7 @@ def write_summary(folder: ResultsFolder, rng: np.random.Generator) -> list[pathl
     writer.writeheader()
     writer.writerows(rows)
     write_text_atomic(table, text.getvalue())
-    write_text_atomic(report, _report(runs, unfinished, rng))
+    write_text_atomic(report, _report(runs, unfinished))
     return [table, report]
 
 
@@ -201,7 +202,7 @@ def _alarms_before_falls(autonomous: Table) -> Row:
     }
 
 
-def _report(runs: list[Run], unfinished: Counter[str], rng: np.random.Generator) -> str:
+def _report(runs: list[Run], unfinished: Counter[str]) -> str:
     rows = tuple(summarise_run(run) for run in runs)
     finished = Counter(row["method"] for row in rows)
     methods = list(finished)
@@ -222,7 +223,7 @@ def _report(runs: list[Run], unfinished: Counter[str], rng: np.random.Generator)
         lines += [f"## {title} over seeds [bootstrap 95 % interval]", ""]
         lines += _table_head(["measure", *methods])
         for column, name, decimals in _MEASURES:
-            cells = [_cell(_scores(rows, m, column), statistic, decimals, rng) for m in methods]
+            cells = [_cell(_scores(rows, m, column), statistic, decimals) for m in methods]
             lines.append(table_line([name, *cells]))
         lines.append("")
     lines += ["## Until the mean of the last 100 training returns reaches a mark", ""]
@@ -231,7 +232,7 @@ def _report(runs: list[Run], unfinished: Counter[str], rng: np.random.Generator)
         lines.append(table_line([str(mark), *(_passage(rows, m, mark) for m in methods)]))
     lines += ["", "## Probability of improvement on the autonomous test return", ""]
     lines += _table_head(["X over Y", "P(X > Y) [95 % interval]", "paired seeds"])
-    lines += [_improvement(rows, x, y, rng) for x, y in PAIRS]
+    lines += [_improvement(rows, x, y) for x, y in PAIRS]
     return "\n".join([*lines, ""])
 
 
@@ -239,19 +240,11 @@ def _scores(rows: tuple[Row, ...], method: str, column: str) -> list[float | Non
     return [row[column] for row in rows if row["method"] == method]
 
 
-def _cell(
-    scores: list[float | None],
-    statistic: stats.Statistic,
-    decimals: int,
-    rng: np.random.Generator,
-) -> str:
+def _cell(scores: list[float | None], statistic: stats.Statistic, decimals: int) -> str:
     values = np.array([score for score in scores if score is not None], dtype=float)
     if not values.size:
         return "–"
-    text = f"{float(statistic(values, 0)):.{decimals}f}"
-    if values.size > 1:
-        low, high = stats.bootstrap_interval(values, statistic, rng)
-        text += f" [{low:.{decimals}f}, {high:.{decimals}f}]"
+    text = f"{stats.estimate(values, statistic):.{decimals}f}"
     return text if values.size == len(scores) else f"{text} (n = {values.size})"
 
 
@@ -260,7 +253,8 @@ def _passage(rows: tuple[Row, ...], method: str, mark: int) -> str:
     medians = []
     for unit in ("episodes", "steps"):
         scores = _scores(rows, method, f"{unit}_to_{mark}")
-        medians.append(np.median([np.inf if score is None else score for score in scores]))
+        steps = np.array([np.inf if score is None else score for score in scores])
+        medians.append(stats.median(steps, 0))
     reached = sum(score is not None for score in scores)
     share = f"{reached} of {len(scores)} seeds"
     if np.isinf(medians[0]):
@@ -268,15 +262,14 @@ def _passage(rows: tuple[Row, ...], method: str, mark: int) -> str:
     return f"{share}; median episode {medians[0]:.0f}, step {medians[1]:.0f}"
 
 
-def _improvement(rows: tuple[Row, ...], x: str, y: str, rng: np.random.Generator) -> str:
+def _improvement(rows: tuple[Row, ...], x: str, y: str) -> str:
     scores = {(row["method"], row["seed"]): row["test_return_mean"] for row in rows}
     seeds = sorted({row["seed"] for row in rows})
     pairs = [(scores.get((x, seed)), scores.get((y, seed))) for seed in seeds]
     paired = np.array([pair for pair in pairs if None not in pair], dtype=float).reshape(-1, 2)
     cell = "–"
     if len(paired):
-        p, low, high = stats.probability_of_improvement(paired[:, 0], paired[:, 1], rng)
-        cell = f"{p:.2f}" + (f" [{low:.2f}, {high:.2f}]" if len(paired) > 1 else "")
+        cell = f"{stats.probability_of_improvement(paired[:, 0], paired[:, 1]):.2f}"
     return table_line([f"{x} over {y}", cell, str(len(paired))])
 
 

@@ -3,10 +3,8 @@
 import dataclasses
 import pathlib
 
-import numpy as np
 import tyro
 
-from hitl_jax.analysis import stats
 from hitl_jax.analysis.figures import draw_all
 from hitl_jax.console.cli import BadInput, print_drawn, refusing
 from hitl_jax.results.atomic_files import remove_leftovers
@@ -39,7 +37,7 @@ def main(options: Options) -> int:
     folder = ResultsFolder(options.results)
     remove_leftovers(options.results / "figures")  # Of a drawing that was killed.
     with refusing():
-        drawn = draw_all(folder, np.random.default_rng(stats.SEED))
+        drawn = draw_all(folder)
     if not drawn.paths and not drawn.failures:
         raise BadInput(f"{options.results}: no episode has been saved yet")
     return print_drawn(drawn)

@@ -1,7 +1,6 @@
 """An episode as moving pictures: the walker, and what the team was at beside it."""
 
 import io
-import itertools
 import pathlib
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
@@ -22,6 +21,7 @@ from hitl_jax.walker import constants
 FORMATS = (".gif", ".mp4")
 _RATE = 50  # steps a second
 _GIF_EVERY = 2  # steps a picture: viewers slow down what is faster than 25 a second
+_GIF_HOLD = 1500  # milliseconds of the last picture, before the film begins again
 _HUMAN, _MACHINE, _ALARM = "#CC79A7", COLOURS["hitl-ac"], COLOURS["srl"]
 _PANEL = 78  # height of what is written over the sky, in pixels
 _GAUGE = (300, 580)  # from where to where it reaches, in pixels
@@ -212,21 +212,30 @@ def _resized(images: Iterable[Image.Image], width: int) -> Iterator[Image.Image]
 
 
 def _to_gif(images: Iterable[Image.Image]) -> bytes:
+    """Every `_GIF_EVERY`-th picture and the last, in which an intervention can end the episode."""
+    kept = []
+    for step, image in enumerate(images):
+        last, missing = image, step % _GIF_EVERY > 0
+        if not missing:
+            kept.append(_reduced(image))
+    if missing:
+        kept.append(_reduced(last))
     file = io.BytesIO()
-    first, *others = (
-        image.quantize(64, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-        for image in itertools.islice(images, 0, None, _GIF_EVERY)
-    )
-    first.save(
+    kept[0].save(
         file,
         "GIF",
         save_all=True,
-        append_images=others,
-        duration=1000 * _GIF_EVERY // _RATE,
+        append_images=kept[1:],
+        duration=[1000 * _GIF_EVERY // _RATE] * (len(kept) - 1) + [_GIF_HOLD],
         loop=0,
         optimize=True,
     )
     return file.getvalue()
+
+
+def _reduced(image: Image.Image) -> Image.Image:
+    """In 64 colours of its own."""
+    return image.quantize(64, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
 
 
 def _to_mp4(images: Iterable[Image.Image]) -> bytes:

@@ -12,11 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitl_jax.analysis import alarm_figures, boundary_map, stats
-from hitl_jax.analysis.claims import Claim, Results, judge
+from hitl_jax.analysis import alarm_figures, boundary_map
+from hitl_jax.analysis.claims import judge
 from hitl_jax.analysis.figures import draw_all
 from hitl_jax.analysis.markdown import table
 from hitl_jax.analysis.summary import write_summary
+from hitl_jax.analysis.verdicts import Claim
 from hitl_jax.config import Hyper, Method
 from hitl_jax.errors import ResultsError
 from hitl_jax.playback.load_trained import section_of
@@ -70,7 +71,9 @@ program cannot say.
 
 A claim *holds* or *does not hold* by the rule in the column "to hold"; it is *not decided* where
 the interval allows both, or where it holds in some resamples of the seeds (2.5 to 97.5 %) and not
-in others. Intervals are bootstrap 95 % intervals over seeds.
+in others. Numbers in brackets are bootstrap 95 % intervals over seeds, of which the column "seeds"
+says how many; with five they are rough. The resamples are the same everywhere, so a number has one
+interval in all tables. "Solved" is a return of 300.
 """
 
 
@@ -104,8 +107,8 @@ def _comparison(comparison: _Comparison, root: pathlib.Path, say: Callable[[str]
     title = f"## The three methods with `--learner {comparison.learner}`\n"
     if not folder.path.exists():
         return f"{title}\nNot run yet.\n"
-    write_summary(folder, np.random.default_rng(stats.SEED))
-    failures = draw_all(folder, np.random.default_rng(stats.SEED)).failures
+    write_summary(folder)
+    failures = draw_all(folder).failures
     if (folder.path / alarm_figures.DATA).exists():
         failures += alarm_figures.draw(folder).failures
     for failure in failures:
@@ -119,7 +122,7 @@ def _comparison(comparison: _Comparison, root: pathlib.Path, say: Callable[[str]
     made = ", ".join(f"{commit} ({count} runs)" for commit, count in commits.items())
     hyper = section_of(folder, "hyper", Hyper)
     try:
-        claims = judge(Results(runs, hyper.human.tolerance))
+        claims = judge(runs, hyper.human.tolerance)
     except ValueError as error:
         return f"{title}\nUnder way: {error}.\n"
     steps = sum(run.info["env_steps"] for of in runs.values() for run in of) / 1e6
@@ -138,7 +141,7 @@ def _comparison(comparison: _Comparison, root: pathlib.Path, say: Callable[[str]
     return (
         f"{title}\nSeeds: {seeds}; {config['episodes']} training episodes and "
         f"{config['test_episodes']} test episodes each, {steps:.1f} million environment steps of "
-        f"training. Commit {made}; machine: {where}. Options, versions, time and cost of every run "
+        f"training. Commit {made}; machine: {where}. Options and versions of every run "
         f"are in `{name}`, its tables in [{name}/summary.md]({name}/summary.md).\n\n"
         f"{diverged if lost else ''}{_claims(claims)}\n{figures}"
     )
@@ -154,8 +157,10 @@ def _tuning(folder: pathlib.Path) -> str:
     return (
         f"{title}\nA configuration is run for all three methods: seeds {seeds}, which no "
         f"comparison above has, {options.ticks:,} ticks (steps and resets) a run, "
-        f"{options.test_episodes} autonomous test episodes. [README.md](README.md#tuning) has the "
-        f"configurations that were tried before.\n\n{table_of_tuning(folder, options)}"
+        f"{options.test_episodes} autonomous test episodes. The rate is of all these runs "
+        "together, side by side on one machine; rates of other commits or machines do not compare. "
+        "[README.md](README.md#tuning) has the configurations that were tried before.\n\n"
+        f"{table_of_tuning(folder, options)}"
         f"\n    hitl-jax tuning --only {names} --out results/tuning\n"
     )
 
@@ -179,8 +184,8 @@ def _settings(root: pathlib.Path) -> str:
 
 
 def _claims(claims: list[Claim]) -> str:
-    rows = [["claim", "the paper", "to hold", "measured", "verdict"]]
-    rows += [[c.name, c.paper, c.aim, c.measured, f"**{c.verdict}**"] for c in claims]
+    rows = [["claim", "the paper", "to hold", "measured", "seeds", "verdict"]]
+    rows += [[c.name, c.paper, c.aim, c.measured, str(c.seeds), f"**{c.verdict}**"] for c in claims]
     return table(rows)
 
 
@@ -210,8 +215,8 @@ def _map(path: pathlib.Path, say: Callable[[str], None]) -> str:
     folder = ResultsFolder(path)
     if not (path / boundary_map.DATA).exists():
         return f"{title}\nNot run yet.\n"
-    write_summary(folder, np.random.default_rng(stats.SEED))
-    failures = draw_all(folder, np.random.default_rng(stats.SEED)).failures
+    write_summary(folder)
+    failures = draw_all(folder).failures
     for failure in [*failures, *boundary_map.draw(folder).failures]:
         say(failure)
     steps, boundary = boundary_map.told(folder)
@@ -239,4 +244,4 @@ def _starts(options: AblationOptions, store: Store) -> list[str]:
     if {len(runs) for runs in (*fixed.values(), *learned.values())} != {options.seeds}:
         return []
     default = next(s.label for s in ABLATIONS[_STARTS].settings if not s.changes)
-    return [_claims(judge_starts(fixed, learned, default))]
+    return [_claims(judge_starts(fixed, learned, default, Hyper().human.tolerance))]

@@ -1,4 +1,4 @@
-"""What is told of an episode, in training and test alike (host, NumPy)."""
+"""The measures of an episode, in training and test alike (host, NumPy)."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -9,9 +9,28 @@ ALARM_WINDOW = 50
 """k of "falls within k steps": alarms count as timely in the last second before a fall."""
 
 FALL_REWARD = -100.0
-"""BipedalWalker's reward for the step in which it falls; another terminal step is the goal."""
+"""BipedalWalker's reward for the step in which it falls."""
 
 Row = dict[str, Any]
+
+
+class EndRule(NamedTuple):
+    """What it means that the environment ends a task's episode (`terminated`).
+
+    Attributes:
+        fall_reward: a last reward of at most this is a fall; None where no fall is known.
+        goal: whether every other such end is the goal; if not, it is told as "terminated".
+    """
+
+    fall_reward: float | None
+    goal: bool
+
+
+WALKER_ENDS = EndRule(FALL_REWARD, goal=True)
+"""BipedalWalker's: it ends by a fall, which costs 100, or at the end of the terrain."""
+
+UNKNOWN_ENDS = EndRule(None, goal=False)
+"""Of an environment of which nothing is known."""
 
 
 class Episode(NamedTuple):
@@ -41,29 +60,29 @@ class Episode(NamedTuple):
 
 
 NOT_FINITE = "not_finite"
-"""Says in the row of a test episode that it was not played to its end, see `lost_test`."""
+"""Key in the row of a test episode that was not played to its end, see `lost_test`."""
 
 
 LOST_TESTS = "test episodes with numbers that are not finite, counted as falls"
 
 
 def lost_test() -> Row:
-    """The row of a test episode in which a number that acts, or that the plant gave, is not finite.
+    """The row of a test episode in which an action or an answer of the environment is not finite.
 
-    By this rule all examiners go: the episode is not played on, and counts as `fall_at_once`.
+    All examiners end the episode there and count it as `fall_at_once`.
     """
     return fall_at_once() | {NOT_FINITE: True}
 
 
 def num_lost(rows: Sequence[Row]) -> int:
-    """How many of some test episodes are such."""
+    """How many rows of test episodes are those of `lost_test`."""
     return sum(NOT_FINITE in row for row in rows)
 
 
 def fall_at_once() -> Row:
     """The row of an episode that could not be played since the numbers were not finite.
 
-    It counts against the method, as a fall in the first step.
+    It counts against the method, as a fall of BipedalWalker in the first step.
     """
     counts = dict.fromkeys(("interventions", "human_steps", "alarms", "true_alarms"), 0)
     unknown = dict.fromkeys(("mean_boundary", "final_boundary", "lead_steps"), float("nan"))
@@ -80,13 +99,39 @@ def fall_at_once() -> Row:
     }
 
 
-def row_of(episode: Episode) -> Row:
-    """The measures of an episode that training and test share."""
+def how_it_ended(reward: float, terminated: bool, human_reset: bool, rule: EndRule) -> str:
+    """The end of an episode, one of `episode_tables.ENDS`.
+
+    A step can have several: a fall counts before the goal, that before the human's reset, and the
+    time limit is what is left.
+
+    Args:
+        reward: the environment's, of the last step.
+        terminated: whether the environment ended the task in it.
+        human_reset: whether the human ended the episode in it.
+        rule: of the task.
+    """
+    if terminated:
+        if rule.fall_reward is not None and reward <= rule.fall_reward:
+            return "fall"
+        return "goal" if rule.goal else "terminated"
+    return "human-reset" if human_reset else "time-limit"
+
+
+def row_of(episode: Episode, rule: EndRule = WALKER_ENDS) -> Row:
+    """The measures of an episode that training and test share.
+
+    Args:
+        episode: its steps.
+        rule: what the end of an episode means in its task.
+    """
     length = len(episode.reward)
-    fall = bool(episode.terminated[-1]) and float(episode.reward[-1]) <= FALL_REWARD
+    last = (float(episode.reward[-1]), bool(episode.terminated[-1]), bool(episode.human_reset[-1]))
+    end = how_it_ended(*last, rule)
     alarms = int(episode.alarmed.sum())
     true_alarms = int((episode.alarmed & episode.dangerous).sum())
-    timely = np.flatnonzero(episode.alarmed[-ALARM_WINDOW:][::-1]) if fall else np.empty(0, int)
+    before_fall = episode.alarmed[-ALARM_WINDOW:] if end == "fall" else episode.alarmed[:0]
+    timely = np.flatnonzero(before_fall[::-1])
     return {
         "return": _sum(episode.reward),
         "shaped_return": _sum(episode.shaped),
@@ -96,8 +141,8 @@ def row_of(episode: Episode) -> Row:
         "alarms": alarms,
         "true_alarms": true_alarms,
         "false_alarms": alarms - true_alarms,
-        "fall": int(fall),
-        "end": _how_it_ended(fall, episode),
+        "fall": int(end == "fall"),
+        "end": end,
         "mean_boundary": _sum(episode.boundary) / length,
         "final_boundary": float(episode.boundary[-1]),
         "alarms_before_fall": len(timely),
@@ -108,11 +153,3 @@ def row_of(episode: Episode) -> Row:
 def _sum(values: np.ndarray) -> float:
     """In the order of the steps, as one adds them up while they come."""
     return float(np.cumsum(values, dtype=float)[-1])
-
-
-def _how_it_ended(fall: bool, episode: Episode) -> str:
-    if fall:
-        return "fall"
-    if episode.terminated[-1]:
-        return "goal"
-    return "human-reset" if episode.human_reset[-1] else "time-limit"

@@ -16,9 +16,11 @@ Table = dict[str, np.ndarray]
 """Column name to values [T]."""
 
 METHODS = ("srl", "hitl-fix", "hitl-ac")
-"""The methods that are compared, in the order of tables and legends."""
+"""The methods that are compared, in the order of tables and legends: reinforcement learning alone
+(SRL), with a human and a fixed boundary, with a human and a learned boundary."""
 
-ENDS = ("fall", "goal", "time-limit", "human-reset")
+ENDS = ("fall", "goal", "terminated", "time-limit", "human-reset")
+"""How an episode ended; "terminated": by the environment, and what that means is not known."""
 MODES = ("autonomous", "assisted")
 
 EPISODE_COLUMNS = (
@@ -34,8 +36,8 @@ EPISODE_COLUMNS = (
     "false_alarms",  # alarms where the human did not
     "fall",  # 0 or 1
     "end",  # one of ENDS
-    "mean_boundary",  # in the indicator's unit; NaN without an arbiter
-    "final_boundary",  # likewise
+    "mean_boundary",  # τ over the episode, in the indicator's unit; NaN without an arbiter
+    "final_boundary",  # τ at its last step, likewise
     "alarms_before_fall",  # alarms within the last k steps before a fall
     "lead_steps",  # from the first of those to the fall; NaN if none
 )

@@ -8,9 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
-from hitl_jax.analysis import figures, stats
+from hitl_jax.analysis import figures
 from hitl_jax.analysis.summary import write_summary
 from hitl_jax.envs.interpreter import child_interpreter
 from hitl_jax.results.atomic_files import remove_leftovers
@@ -31,8 +29,8 @@ def draw(folder: ResultsFolder) -> list[Any]:
     Returns:
         The paths written, and notes on what could not be drawn.
     """
-    tables = write_summary(folder, np.random.default_rng(stats.SEED))
-    return [*tables, *figures.draw_all(folder, np.random.default_rng(stats.SEED)).lines]
+    tables = write_summary(folder)
+    return [*tables, *figures.draw_all(folder).lines]
 
 
 class BackgroundFigures:

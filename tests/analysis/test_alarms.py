@@ -60,3 +60,37 @@ def test_what_is_not_known_is_not_counted():
     assert np.isnan(unseen.alarms).all()
     assert np.isnan(total([unseen._replace(alarms=np.zeros(3)), unseen]).alarms).all()
     assert (unseen.steps, unseen.falls) == (2, 0)
+
+
+def _table(folder, **counts):
+    columns = dict.fromkeys(alarm_figures.COLUMNS, "0") | {"method": "hitl-fix"}
+    lines = [",".join(alarm_figures.COLUMNS)]
+    for boundary in ("0.2", "0.4"):
+        lines.append(",".join((columns | {"boundary": boundary} | counts).values()))
+    (folder.path / alarm_figures.DATA).write_text("\n".join(lines) + "\n")
+
+
+def test_a_panel_without_data_is_not_drawn(tmp_path, monkeypatch):
+    folder = ResultsFolder(tmp_path / "out")
+    folder.create_or_resume({"agent": {"indicator": "hull_angle"}}, "command")
+    figures = []
+
+    def keep(figure, stem):
+        figure.draw_without_rendering()
+        figures.append(figure)
+        return [stem]
+
+    monkeypatch.setattr(alarm_figures, "save", keep)
+    many = {"steps": "100", "alarms": "50", "timely_alarms": "20"}
+    for counts, panels in (
+        ({"steps": "100"}, 1),
+        (many, 2),
+        (many | {"falls": "30", "warned_falls": "10"}, 3),
+        (many | {"falls": "30", "warned_falls": "25"}, 4),
+    ):
+        _table(folder, **counts)
+        alarm_figures.draw(folder)
+        assert len(figures[-1].axes) == panels
+        assert all(axes.lines for axes in figures[-1].axes)
+    _table(folder, steps="5")
+    assert alarm_figures.draw(folder).no_data == ["figure8_alarms: no data for it"]

@@ -6,13 +6,9 @@ from hitl_jax.analysis import stats
 from hitl_jax.analysis.curves import MAX_POINTS, over_episodes, over_seeds, over_steps
 
 
-def rng() -> np.random.Generator:
-    return np.random.default_rng(0)
-
-
 def test_each_point_is_over_the_seeds_that_reach_it():
     curves = [np.full(2, 0.0), np.full(5, 10.0), np.full(3, 2.0)]
-    curve = over_seeds(np.arange(5), curves, stats.mean, rng())
+    curve = over_seeds(np.arange(5), curves, stats.mean)
     # Two of three seeds reach the third point and one the fourth: fewer than half.
     np.testing.assert_array_equal(curve.x, [0, 1, 2])
     np.testing.assert_array_equal(curve.centre, [4.0, 4.0, 6.0])
@@ -20,32 +16,33 @@ def test_each_point_is_over_the_seeds_that_reach_it():
     np.testing.assert_array_equal(curve.low, [0.0, 0.0, 2.0])
     np.testing.assert_array_equal(curve.high, [10.0, 10.0, 10.0])
     assert curve.seeds == 3
+    assert curve.seeds_at.tolist() == [3, 3, 2]
 
 
 def test_half_of_the_seeds_is_enough():
     curves = [np.zeros(1), np.zeros(4)]
-    assert len(over_seeds(np.arange(4), curves, stats.mean, rng()).x) == 4
+    assert len(over_seeds(np.arange(4), curves, stats.mean).x) == 4
 
 
 def test_a_seed_without_data_is_counted():
     curves = [np.zeros(0), np.zeros(0), np.zeros(2)]
-    curve = over_seeds(np.arange(2), curves, stats.mean, rng())
+    curve = over_seeds(np.arange(2), curves, stats.mean)
     assert (len(curve.x), curve.seeds) == (0, 3)
 
 
 def test_over_episodes_smooths_and_thins():
-    curve = over_episodes([np.array([0.0, 2.0, 4.0])], 2, rng())
+    curve = over_episodes([np.array([0.0, 2.0, 4.0])], 2)
     np.testing.assert_array_equal(curve.x, [1, 2, 3])
     np.testing.assert_array_equal(curve.centre, [0.0, 1.0, 3.0])
     np.testing.assert_array_equal(curve.low, curve.centre)  # one seed
-    long = over_episodes([np.arange(10_000.0)] * 2, 1, rng())
+    long = over_episodes([np.arange(10_000.0)] * 2, 1)
     assert len(long.x) == MAX_POINTS
     assert (long.x[0], long.x[-1]) == (1, 10_000)
     np.testing.assert_array_equal(long.centre, long.x - 1)
 
 
 def test_over_steps_interpolates_between_ends_of_episodes():
-    curve = over_steps([np.array([100.0, 200.0])], [np.array([10.0, 30.0])], 1, rng())
+    curve = over_steps([np.array([100.0, 200.0])], [np.array([10.0, 30.0])], 1)
     assert (curve.x[0], curve.x[-1]) == (0.0, 200.0)
     # Until the first end 10, then the line through (100, 10) and (200, 30).
     np.testing.assert_allclose(curve.centre, np.maximum(10.0, 10.0 + 0.2 * (curve.x - 100.0)))
@@ -53,10 +50,10 @@ def test_over_steps_interpolates_between_ends_of_episodes():
 
 def test_nan_stays_nan():
     values = [np.array([1.0, np.nan, 3.0, 4.0]), np.arange(4.0)]
-    curve = over_episodes(values, 1, rng())
+    curve = over_episodes(values, 1)
     for line in (curve.centre, curve.low, curve.high):
         assert np.isnan(line).tolist() == [False, True, False, False]
     steps = [np.array([10.0, 20.0, 30.0, 40.0])] * 2
-    curve = over_steps(steps, values, 1, rng())
+    curve = over_steps(steps, values, 1)
     assert np.isnan(curve.centre).tolist() == np.isnan(curve.low).tolist()
     assert np.isnan(curve.centre[(curve.x > 10) & (curve.x < 30)]).all()

@@ -10,16 +10,17 @@ import matplotlib
 import matplotlib.style
 import numpy as np
 import pytest
+from example_training import make_training
 from matplotlib.figure import Figure
 
-from hitl_jax.analysis import alarm_figures, figures, stats
+from hitl_jax.analysis import alarm_figures, figure_data, figures
 from hitl_jax.analysis.figures import draw_all
 from hitl_jax.benchmarks import scaling
 from hitl_jax.commands import figures as command
 from hitl_jax.console.cli import run_main
 from hitl_jax.errors import ResultsError
 from hitl_jax.results import atomic_files
-from hitl_jax.results.episode_tables import EPISODE_COLUMNS, METHODS, PROGRESS_COLUMNS, TEST_COLUMNS
+from hitl_jax.results.episode_tables import METHODS, PROGRESS_COLUMNS, TEST_COLUMNS
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.studies.ablations import figure
@@ -44,24 +45,6 @@ NAMES = (
     "figure6_moves",
     "figure7_human",
 )
-
-
-def rng() -> np.random.Generator:
-    return np.random.default_rng(0)
-
-
-def make_training(method: str, seed: int, count: int = 40) -> dict[str, Any]:
-    noise = np.random.default_rng([METHODS.index(method), seed])
-    human = method != "srl"
-    columns = dict.fromkeys(EPISODE_COLUMNS, np.zeros(count)) | {
-        "episode": np.arange(1, count + 1),
-        "return": np.linspace(-100.0, 300.0, count) + noise.normal(0.0, 20.0, count),
-        "env_steps": np.cumsum(noise.integers(50, 1600, count)),
-        "interventions": noise.integers(0, 2, count) * human,
-        "end": ["fall"] * count,
-    }
-    boundary = np.full(count, 0.7 if human else np.nan)
-    return columns | {"mean_boundary": boundary, "final_boundary": boundary}
 
 
 def make_tests(method: str, modes: tuple[str, ...] = ("autonomous", "assisted")) -> dict[str, Any]:
@@ -114,7 +97,7 @@ def test_full_results_give_every_figure_twice(folder):
         for seed in range(3):
             save(folder, method, seed)
     before = dict(matplotlib.rcParams)
-    paths, notes, failures = draw_all(folder, rng())
+    paths, notes, failures = draw_all(folder)
     assert dict(matplotlib.rcParams) == before
     assert notes == failures == []
     written = sorted(p.name for p in (folder.path / "figures").iterdir())
@@ -135,39 +118,49 @@ def test_early_results_draw_what_there_is(folder, drawn):
         folder.write_partial(RunKey("hitl-ac", seed), make_training("hitl-ac", seed, count))
     folder.write_partial(RunKey("srl", 0), make_training("srl", 0, 2))
     folder.write_partial(RunKey("srl", 1), make_training("srl", 1, 0))
-    _, notes, _ = draw_all(folder, rng())
+    _, notes, _ = draw_all(folder)
     assert [note.split(":")[0] for note in notes] == ["figure5_test", "figure5_progress"]
     text = text_of(drawn["figure4_training"])
-    assert "HITL-AC (2 seeds, 2 unfinished)" in text
+    assert "HITL-AC (2 seeds, 1 at the end, 2 unfinished)" in text
     assert "SRL (no band: one seed, 1 unfinished)" in text
     assert "(mean of the last 20 episodes)" in text
     lines = drawn["figure4_training"].axes[0].get_lines()
     # Two seeds of episodes 1 to 30 and 1 to 12: half of them reach the end.
     assert lines[1].get_xdata()[-1] == 30
+    # A bar stands at the last episode that both have.
+    assert (lines[1].get_marker(), lines[1].get_markevery()) == ("|", [11])
+    [title] = [of.get_title().get_text() for of in drawn["figure4_training"].legends]
+    assert "right of the bar on a curve: over the seeds that got so far" in title
+    assert "before episode 20: means of the episodes so far" in title
     assert lines[0].get_color() == "#D55E00"
     assert "SRL" not in text_of(drawn["figure6_boundary"])
 
 
 def test_one_finished_run_of_one_method(folder, drawn):
     save(folder, "srl", 0, modes=("autonomous",))
-    _, notes, _ = draw_all(folder, rng())
+    _, notes, _ = draw_all(folder)
     without_human = {"figure6_boundary", "figure6_moves", "figure7_human"}
     assert {note.split(":")[0] for note in notes} == without_human
-    assert "SRL (no interval: one seed)" in text_of(drawn["figure5_test"])
+    for axes in drawn["figure5_test"].axes:
+        assert [tick.get_text() for tick in axes.get_xticklabels()] == [
+            "SRL\n(no interval: one seed)"
+        ]
 
 
 @pytest.mark.parametrize("modes", [(), ("assisted",)])
 def test_runs_without_autonomous_tests_skip_figure_5(folder, drawn, modes):
     save(folder, "hitl-ac", 0, modes=modes)
-    _, notes, _ = draw_all(folder, rng())
+    _, notes, _ = draw_all(folder)
     assert [note.split(":")[0] for note in notes] == ["figure5_test", "figure5_progress"]
 
 
 def test_figure_5_shows_the_means_of_the_tests(folder, drawn):
     save(folder, "hitl-ac", 0)
-    draw_all(folder, rng())
+    draw_all(folder)
     left, right = drawn["figure5_test"].axes
-    np.testing.assert_array_equal(left.get_lines()[0].get_ydata(), 200.0 + 10.0 * np.arange(5))
+    for dots, returns in zip(left.get_lines(), (200.0, 250.0), strict=False):
+        np.testing.assert_array_equal(dots.get_ydata(), returns + 10.0 * np.arange(5))
+        assert dots.get_linestyle() == "None"  # Test episodes are independent of each other.
     heights = [line.get_ydata()[0] for line in right.get_lines()[:4]]
     # Autonomous 200 … 240, assisted 250 … 290: the seed's dot, then the mean over the one seed.
     assert heights == [220.0, 220.0, 270.0, 270.0]
@@ -181,7 +174,7 @@ def test_what_moved_the_boundary_adds_up(tmp_path, drawn):
     training = make_training("hitl-ac", 0, 5)
     training |= {"true_alarms": np.arange(5), "false_alarms": np.array([0, 2, 0, 0, 1])}
     folder.write_partial(RunKey("hitl-ac", 0), training)
-    draw_all(folder, rng())
+    draw_all(folder)
     whole, down, up, rest = (line.get_ydata() for line in drawn["figure6_moves"].axes[0].lines)
     np.testing.assert_allclose(whole, 0.1)  # from 0.6 to the 0.7 of every episode
     np.testing.assert_allclose(down, [0.0, -0.01, -0.03, -0.06, -0.1])
@@ -189,9 +182,27 @@ def test_what_moved_the_boundary_adds_up(tmp_path, drawn):
     np.testing.assert_allclose(whole, down + up + rest)
 
 
+def _with_threshold(tmp_path, danger):
+    folder = ResultsFolder(tmp_path / danger)
+    agent = CONFIG["agent"] | {"danger": danger}
+    hyper = CONFIG["hyper"] | {"human": {"tolerance": 0.45}}
+    folder.create_or_resume(CONFIG | {"agent": agent, "hyper": hyper}, "command")
+    folder.write_partial(RunKey("hitl-ac", 0), make_training("hitl-ac", 0))
+    return folder
+
+
+def test_figure_6_has_the_humans_threshold(tmp_path, drawn):
+    draw_all(_with_threshold(tmp_path, "threshold"))
+    upper = drawn["figure6_boundary"].axes[0]
+    assert any(list(line.get_ydata()) == [0.45, 0.45] for line in upper.get_lines())
+    assert "the human's threshold, 0.45 rad" in text_of(drawn["figure6_boundary"])
+    draw_all(_with_threshold(tmp_path, "lookahead"))
+    assert "threshold" not in text_of(drawn["figure6_boundary"])
+
+
 def test_the_solved_line_is_always_in_view(folder, drawn):
     folder.write_partial(RunKey("hitl-fix", 0), make_training("hitl-fix", 0, 3))
-    draw_all(folder, rng())
+    draw_all(folder)
     for name in ("figure4_training", "figure4_steps", "figure6_boundary", "figure7_human"):
         low, high = drawn[name].axes[-1].get_ylim()
         assert low < -90.0
@@ -202,13 +213,13 @@ def test_another_indicator_is_not_called_radians(tmp_path, drawn):
     folder = ResultsFolder(tmp_path / "other")
     folder.create_or_resume({"agent": {"indicator": "hull_velocity"}}, "command")
     folder.write_partial(RunKey("hitl-ac", 0), make_training("hitl-ac", 0, 3))
-    draw_all(folder, rng())
+    draw_all(folder)
     assert "boundary [unit of hull_velocity]" in text_of(drawn["figure6_boundary"])
 
 
 def test_the_same_data_give_the_same_files(folder):
     folder.write_partial(RunKey("hitl-ac", 0), make_training("hitl-ac", 0, 5))
-    first, second = ([p.read_bytes() for p in draw_all(folder, rng()).paths] for _ in range(2))
+    first, second = ([p.read_bytes() for p in draw_all(folder).paths] for _ in range(2))
     assert first == second
 
 
@@ -245,12 +256,12 @@ def test_a_diverged_run_counts_in_returns_and_nowhere_else(folder):
         save(folder, "hitl-ac", seed)
     save(folder, "hitl-ac", 3, diverged=10)
     save(folder, "hitl-fix", 0, diverged=0)
-    [fixed, learned] = figures._load(folder).methods
+    [fixed, learned] = figure_data.load(folder).methods
     assert [len(t["episode"]) for t in learned.training] == [40] * 4
     assert [len(t["episode"]) for t in learned.played] == [40, 40, 40, 10]
     assert len(fixed.training) == 1
     assert fixed.played == []
-    paths, notes, failures = draw_all(folder, rng())
+    paths, notes, failures = draw_all(folder)
     assert notes == failures == []
     assert len(paths) == 2 * len(NAMES)
 
@@ -282,7 +293,7 @@ def _pictures(folder):
 
 def _draw(folder):
     """As the command does."""
-    return draw_all(folder, np.random.default_rng(stats.SEED))
+    return draw_all(folder)
 
 
 @pytest.fixture
@@ -384,7 +395,7 @@ def _fails(*_, **__):
 def test_a_figure_that_cannot_be_drawn_costs_no_other(plain, monkeypatch, capsys):
     for path in plain.path.glob("figures/*"):
         path.unlink()
-    monkeypatch.setattr(figures, "_draw_training", _fails)
+    monkeypatch.setitem(figures.DRAWINGS, "figure4_training", _fails)
     assert run_main("figures", command.main, [str(plain.path)]) == 1
     told = capsys.readouterr().out.splitlines()
     assert told[-1] == "figure4_training: could not be drawn: RuntimeError: there is no font"
@@ -404,7 +415,7 @@ def test_a_picture_that_cannot_be_made_is_told(plain, error, monkeypatch):
         real(figure, *arguments, **options)
 
     monkeypatch.setattr(Figure, "savefig", savefig)
-    drawn = draw_all(plain, rng())
+    drawn = draw_all(plain)
     assert drawn.paths == []
     assert [line.split(":")[0] for line in drawn.failures] == ["figure4_training", "figure4_steps"]
     assert type(error).__name__ in drawn.failures[0]
@@ -412,7 +423,7 @@ def test_a_picture_that_cannot_be_made_is_told(plain, error, monkeypatch):
 
 def test_without_matplotlib_there_is_one_line(plain, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    [told] = draw_all(plain, rng()).failures
+    [told] = draw_all(plain).failures
     assert told.startswith(", ".join(NAMES) + ": could not be drawn: ModuleNotFoundError: ")
 
 
@@ -422,7 +433,7 @@ def test_a_full_disk_is_the_folders_error(plain, monkeypatch):
 
     monkeypatch.setattr(atomic_files, "_write_synced", full)
     with pytest.raises(ResultsError, match=r"figure4_training\.png: No space left on device"):
-        draw_all(plain, rng())
+        draw_all(plain)
 
 
 def test_the_other_drawings_cost_nothing_either(tmp_path, monkeypatch):

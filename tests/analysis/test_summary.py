@@ -14,10 +14,6 @@ from hitl_jax.results.run_key import RunKey
 INFO = {"config": {"a": 1}, "versions": {}, "commit": None, "env_steps": 1, "updates": 1}
 
 
-def rng() -> np.random.Generator:
-    return np.random.default_rng(0)
-
-
 @pytest.fixture
 def folder(tmp_path):
     folder = ResultsFolder(tmp_path / "out")
@@ -135,7 +131,7 @@ def test_an_empty_run_is_summarised(folder):
     folder.save_run(RunKey("srl", 0), *nothing, {}, INFO | {"wall_seconds": 1.0})
     [row] = summarise(folder)
     assert row["env_steps"] is row["best_return_100"] is row["test_return_mean"] is None
-    write_summary(folder, rng())
+    write_summary(folder)
 
 
 def test_the_report_compares_methods(folder):
@@ -144,7 +140,7 @@ def test_the_report_compares_methods(folder):
         save(folder, "hitl-ac", seed, learned)
     save(folder, "srl", 5, 0.0)
     folder.write_partial(RunKey("srl", 1), table(EPISODE_COLUMNS, 2))
-    assert [p.name for p in write_summary(folder, rng())] == ["summary.csv", "summary.md"]
+    assert [p.name for p in write_summary(folder)] == ["summary.csv", "summary.md"]
 
     frame = pd.read_csv(folder.path / "summary.csv")
     assert tuple(frame.columns) == SUMMARY_COLUMNS
@@ -166,7 +162,7 @@ def test_the_report_compares_methods(folder):
 
 
 def test_nothing_finished_is_said(folder):
-    write_summary(folder, rng())
+    write_summary(folder)
     assert "No run has finished yet" in (folder.path / "summary.md").read_text()
     assert pd.read_csv(folder.path / "summary.csv").empty
 
@@ -175,7 +171,7 @@ def test_a_mark_reached_by_few_seeds_has_no_median(folder):
     save(folder, seed=0)
     for seed in (1, 2):
         save(folder, seed=seed, returns=np.zeros(120))
-    write_summary(folder, rng())
+    write_summary(folder)
     assert "| 100 | 1 of 3 seeds |" in (folder.path / "summary.md").read_text()
 
 
@@ -194,7 +190,7 @@ def test_nan_stays_nan_in_the_measures(folder):
 def test_test_episodes_that_were_not_finite_are_named(folder):
     save(folder, lost_tests=2)
     save(folder, seed=1)
-    write_summary(folder, rng())
+    write_summary(folder)
     assert (
         "- hitl-ac: seeds finished 2, under way 0; test episodes with numbers that are not finite, "
         "counted as falls: seed 0 has 2\n"

@@ -102,7 +102,7 @@ def _session(folder):
             _save(folder, key)
             folder.remove_partial(key)
         assert key in folder.finished()
-    write_summary(folder, np.random.default_rng(0))
+    write_summary(folder)
 
 
 def test_a_full_disk_costs_nothing_that_is_there(tmp_path, monkeypatch):

@@ -7,9 +7,10 @@ import shutil
 import numpy as np
 import pytest
 
-from hitl_jax.analysis.claims import HOLDS, HOLDS_NOT, UNDECIDED, Results, judge
+from hitl_jax.analysis.claims import judge
 from hitl_jax.analysis.figure_style import Drawn
 from hitl_jax.analysis.summary import skill_over_training
+from hitl_jax.analysis.verdicts import HOLDS, HOLDS_NOT, UNDECIDED
 from hitl_jax.commands import report
 from hitl_jax.console.cli import run_main
 from hitl_jax.reports import report as reports
@@ -60,7 +61,7 @@ def _judge(srl, fix, ac):
     made = {
         m: [_run(m, seed, **kwargs) for seed, kwargs in enumerate(of)] for m, of in runs.items()
     }
-    return {claim.name: claim for claim in judge(Results(made, tolerance=0.45))}
+    return {claim.name: claim for claim in judge(made, tolerance=0.45)}
 
 
 def test_all_claims_can_hold():
@@ -104,8 +105,8 @@ def test_skill_over_training_is_over_equal_terrains():
     assert points.tolist() == [200, 400, 1000]
     assert returns.tolist() == [10.0, 250.0, 300.0]
     runs = [dataclasses.replace(run, key=RunKey("hitl-ac", seed)) for seed in range(5)]
-    results = Results(dict.fromkeys(("srl", "hitl-fix", "hitl-ac"), runs), 0.45)
-    [claim] = [claim for claim in judge(results) if claim.name == "Skill over training"]
+    compared = dict.fromkeys(("srl", "hitl-fix", "hitl-ac"), runs)
+    [claim] = [claim for claim in judge(compared, 0.45) if claim.name == "Skill over training"]
     assert "episode 400: HITL-AC 250 [250, 250]" in claim.measured
     assert "the same 1 test episodes" in claim.aim
 
@@ -140,8 +141,8 @@ def test_what_the_seeds_do_not_decide_is_said():
     assert claims["Skill without the human (Figure 5)"].verdict == UNDECIDED
 
 
-def _starts(**returns_and_work):
-    """Runs by τ_0: a return and interventions, the same for five seeds but for a little."""
+def _starts(low, high):
+    """Runs from τ_0 of 0.5 and 1: a return and interventions, all but equal in five seeds."""
     return {
         label: [
             {
@@ -151,32 +152,40 @@ def _starts(**returns_and_work):
             }
             for seed in range(5)
         ]
-        for label, (value, work) in returns_and_work.items()
+        for label, (value, work) in {"0.5": low, "1 (default)": high}.items()
     }
 
 
 def test_claims_about_tau_0():
-    fixed = _starts(low=(100.0, 200.0), high=(250.0, 100.0))
-    claims = judge_starts(fixed, _starts(low=(300.0, 50.0), high=(290.0, 50.0)), default="low")
+    fixed = _starts((100.0, 200.0), (250.0, 100.0))
+    claims = judge_starts(
+        fixed, _starts((300.0, 50.0), (290.0, 50.0)), default="0.5", tolerance=0.45
+    )
     assert [claim.verdict for claim in claims] == [HOLDS] * 3
-    assert "from low: +200 [+200, +200]; from high: +40 [+40, +40]" in claims[0].measured
-    assert claims[1].measured == "+50 [+50, +50] against τ_0 = high"
+    assert "from 0.5: +200 [+200, +200]; from 1 (default): +40 [+40, +40]" in claims[0].measured
+    assert claims[1].measured == "+50 [+50, +50] against τ_0 = 1 (default)"
     # 50 / 0.5 / 302 and 100 / 0.5 / 252
-    assert claims[2].measured.startswith("0.33 against 0.79 at τ_0 = high; fewer in 100 %")
-    worse = judge_starts(fixed, _starts(low=(150.0, 300.0), high=(150.0, 300.0)), default="low")
+    assert claims[2].measured.startswith(
+        "0.33 [0.33, 0.33] against 0.79 [0.79, 0.80] at τ_0 = 1 (default); fewer in 100 %"
+    )
+    worse = judge_starts(
+        fixed, _starts((150.0, 300.0), (150.0, 300.0)), default="0.5", tolerance=0.45
+    )
     assert [claim.verdict for claim in worse] == [HOLDS_NOT] * 3
-    hopeless = judge_starts(fixed, _starts(low=(-90.0, 1.0), high=(-90.0, 1.0)), default="low")
-    assert hopeless[2].measured.startswith("inf against 0.79")
+    hopeless = judge_starts(
+        fixed, _starts((-90.0, 1.0), (-90.0, 1.0)), default="0.5", tolerance=0.45
+    )
+    assert hopeless[2].measured.startswith("inf [inf, inf] against 0.79")
     assert hopeless[2].verdict == HOLDS_NOT
 
 
 def test_only_seeds_of_all_methods_count():
     runs = {m: [_run(m, seed, 300, 200.0) for seed in range(5)] for m in ("srl", "hitl-fix")}
     with pytest.raises(ValueError, match="0 seeds done in all methods, of at least 5"):
-        judge(Results(runs, 0.45))
+        judge(runs, 0.45)
     runs["hitl-ac"] = [_run("hitl-ac", seed, 300, 200.0) for seed in range(1, 6)]
     with pytest.raises(ValueError, match="4 seeds done in all methods"):
-        judge(Results(runs, 0.45))
+        judge(runs, 0.45)
 
 
 def test_a_boundary_that_never_settles_is_said_to():
@@ -187,7 +196,7 @@ def test_a_boundary_that_never_settles_is_said_to():
 
 def test_what_is_committed_is_what_the_data_give(tmp_path, monkeypatch):
     # Drawings may differ with matplotlib's version; texts may not.
-    monkeypatch.setattr(reports, "draw_all", lambda folder, rng: Drawn([], [], []))
+    monkeypatch.setattr(reports, "draw_all", lambda folder: Drawn([], [], []))
     copy = tmp_path / "results"
     shutil.copytree(_RESULTS, copy)
     assert run_main("report", report.main, ["--results", str(copy)]) == 0
@@ -219,7 +228,7 @@ def test_a_claim_about_what_is_no_number_is_not_decided(who):
     lost.episodes["return"][100:] = np.nan
     lost.episodes["interventions"] = np.full(1000, np.nan)
     lost.episodes["final_boundary"][-1] = np.nan
-    claims = {claim.name: claim.verdict for claim in judge(Results(made, tolerance=0.45))}
+    claims = {claim.name: claim.verdict for claim in judge(made, tolerance=0.45)}
     concerned = ["Training speed (Figure 4)", "Skill without the human (Figure 5)"]
     concerned += ["Training speed over environment steps"] * (who != "fix")
     if who == "ac":
@@ -228,15 +237,28 @@ def test_a_claim_about_what_is_no_number_is_not_decided(who):
     assert claims["How sure that order is"] == UNDECIDED
 
 
+def test_where_tau_0_changes_nothing_the_difference_is_called_noise():
+    fixed, learned = _starts((40.0, 9.0), (250.0, 9.0)), _starts((140.0, 9.0), (260.0, 9.0))
+    [claim, *_] = judge_starts(fixed, learned, default="1 (default)", tolerance=0.5)
+    assert claim.measured.endswith(
+        "From τ_0 = 0.5, at most the human's tolerance of 0.5 rad, neither method's interventions "
+        "depend on τ: its seeds draw other random numbers, and the difference there is what the "
+        "means of 5 seeds vary by"
+    )
+    assert claim.seeds == 5
+    [claim, *_] = judge_starts(fixed, learned, default="1 (default)", tolerance=0.45)
+    assert "tolerance" not in claim.measured
+
+
 @pytest.mark.parametrize("measure", ["test_return_mean", "alarm_agreement", "train_interventions"])
 @pytest.mark.parametrize("whose", ["fixed", "learned"])
 def test_claims_about_tau_0_without_a_number_are_not_decided(measure, whose):
     made = {
-        "fixed": _starts(low=(100.0, 200.0), high=(250.0, 100.0)),
-        "learned": _starts(low=(300.0, 50.0), high=(290.0, 50.0)),
+        "fixed": _starts((100.0, 200.0), (250.0, 100.0)),
+        "learned": _starts((300.0, 50.0), (290.0, 50.0)),
     }
-    made[whose]["low"][3][measure] = None
-    made[whose]["high"][3][measure] = float("nan")
-    verdicts = [claim.verdict for claim in judge_starts(**made, default="low")]
+    made[whose]["0.5"][3][measure] = None
+    made[whose]["1 (default)"][3][measure] = float("nan")
+    verdicts = [claim.verdict for claim in judge_starts(**made, default="0.5", tolerance=0.45)]
     assert verdicts[2] == UNDECIDED
     assert verdicts[:2] == [UNDECIDED if measure == "test_return_mean" else HOLDS] * 2

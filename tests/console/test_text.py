@@ -11,10 +11,9 @@ import subprocess
 import sys
 import xml.etree.ElementTree
 
-import numpy as np
 import pytest
+from example_training import make_training
 from matplotlib.figure import Figure
-from test_figures import make_training
 
 import hitl_jax
 from hitl_jax.analysis import markdown
@@ -164,7 +163,7 @@ def test_tables_keep_their_columns(name):
     )
     runs = [dict.fromkeys(measure for measure, _, _ in table._MEASURES) | {"diverged": 0}]
     lines = [table.Line(name, "srl", runs)]
-    text = table.to_markdown("title", "budget", lines, np.random.default_rng(0))
+    text = table.to_markdown("title", "budget", lines)
     assert f"\n| {shown} | srl | 1 |" in text
 
 

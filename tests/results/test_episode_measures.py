@@ -1,8 +1,18 @@
 import math
 
 import numpy as np
+import pytest
 
-from hitl_jax.results.episode_measures import ALARM_WINDOW, Episode, row_of
+from hitl_jax.results.episode_measures import (
+    ALARM_WINDOW,
+    UNKNOWN_ENDS,
+    WALKER_ENDS,
+    EndRule,
+    Episode,
+    how_it_ended,
+    row_of,
+)
+from hitl_jax.results.episode_tables import ENDS
 
 
 def _episode(length, **changes):
@@ -52,6 +62,35 @@ def test_ends():
     assert end() == ("time-limit", 0)
     assert end(human_reset=[True]) == ("human-reset", 0)
     assert end(human_reset=[True], terminated=[True], reward=[-100.0]) == ("fall", 1)
+
+
+_OWN_FALL = EndRule(fall_reward=-5.0, goal=False)
+
+
+@pytest.mark.parametrize(
+    ("rule", "reward", "end"),
+    [
+        (WALKER_ENDS, -100.0, "fall"),
+        (WALKER_ENDS, -99.9, "goal"),
+        (UNKNOWN_ENDS, -100.0, "terminated"),
+        (UNKNOWN_ENDS, 300.0, "terminated"),
+        (_OWN_FALL, -5.0, "fall"),
+        (_OWN_FALL, -4.0, "terminated"),
+        (EndRule(None, goal=True), -100.0, "goal"),
+    ],
+)
+def test_an_end_is_the_goal_only_where_the_task_says_so(rule, reward, end):
+    assert how_it_ended(reward, True, False, rule) == end
+    assert end in ENDS
+    row = row_of(_episode(3, reward=[reward], terminated=[True], alarmed=[True]), rule)
+    fell = end == "fall"
+    assert (row["end"], row["fall"], row["alarms_before_fall"]) == (end, fell, fell)
+
+
+def test_ends_that_are_not_the_tasks_are_the_same_under_any_rule():
+    for rule in (WALKER_ENDS, UNKNOWN_ENDS, _OWN_FALL):
+        assert how_it_ended(-100.0, False, False, rule) == "time-limit"
+        assert how_it_ended(-100.0, False, True, rule) == "human-reset"
 
 
 def test_alarms_older_than_the_window_do_not_count():

@@ -151,7 +151,7 @@ def test_a_run_that_diverged_is_marked():
     finished = FinishedRun(run, {}, np.zeros(()))
     row = runs.summary_of(train_and_test.Tested(finished, [], [], 1.0, "", {}, ""))
     assert (row["diverged"], row["episodes"], row["final_return_100"]) == (1, 3, -100.0)
-    text = to_markdown("Title", "", [Line("tiny", "srl", [row])], np.random.default_rng(0))
+    text = to_markdown("Title", "", [Line("tiny", "srl", [row])])
     assert "| tiny | srl | 1 (1 diverged) |" in text
 
 

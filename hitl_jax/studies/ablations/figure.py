@@ -23,13 +23,12 @@ _LINE_HEIGHT, _MARGIN = 0.24, 1.5  # inches
 _GUIDE = "mean over seeds, bootstrap 95 % interval; small: each seed"
 
 
-def draw_curves(title: str, lines: list[Line], rng: np.random.Generator) -> Figure:
+def draw_curves(title: str, lines: list[Line]) -> Figure:
     """Measures over a number: curves of the mean over seeds, with bands, and the seeds as dots.
 
     Args:
         title: what the number is, with its unit.
         lines: whose labels begin with the number.
-        rng: drawn from for the intervals.
     """
     figure, axes_of = panels(1, len(_PANELS), (PAGE, 3.4))
     for axes, (measure, name) in zip(axes_of, _PANELS, strict=True):
@@ -38,19 +37,17 @@ def draw_curves(title: str, lines: list[Line], rng: np.random.Generator) -> Figu
             points = [(float(line.label.split()[0]), line.values(measure)) for line in own]
             points = [(x, values) for x, values in points if values.size]
             if points:
-                _draw_curve(axes, points, method, rng)
+                _draw_curve(axes, points, method)
         axes.set(xlabel=literal(title), ylabel=name)
     _legend(figure, lines)
     return figure
 
 
-def _draw_curve(
-    axes: Axes, points: list[tuple[float, np.ndarray]], method: str, rng: np.random.Generator
-) -> None:
+def _draw_curve(axes: Axes, points: list[tuple[float, np.ndarray]], method: str) -> None:
     style = line_style(method)
     xs = [x for x, _ in points]
     axes.plot(xs, [values.mean() for _, values in points], marker="o", markersize=5, **style)
-    ends = [stats.bootstrap_interval(values, stats.mean, rng) for _, values in points]
+    ends = [stats.bootstrap_interval(values, stats.mean) for _, values in points]
     low, high = zip(*ends, strict=True)
     axes.fill_between(xs, low, high, color=style["color"], alpha=0.18, linewidth=0)
     for x, values in points:
@@ -58,13 +55,12 @@ def _draw_curve(
         axes.plot(np.full(values.size, x), values, markersize=2.5, alpha=0.5, **dots)
 
 
-def draw_rows(title: str, lines: list[Line], rng: np.random.Generator) -> Figure:
+def draw_rows(title: str, lines: list[Line]) -> Figure:
     """A row for each setting. Small dots: seeds; large: their mean, with its interval.
 
     Args:
         title: of the ablation.
         lines: from the top down.
-        rng: drawn from for the intervals.
     """
     labels = list(dict.fromkeys(line.label for line in lines))
     methods = [method for method in METHODS if any(line.method == method for line in lines)]
@@ -74,7 +70,7 @@ def draw_rows(title: str, lines: list[Line], rng: np.random.Generator) -> Figure
     for axes, (measure, name) in zip(axes_of, _PANELS, strict=True):
         for line in lines:
             shift = 0.7 * ((methods.index(line.method) + 0.5) / len(methods) - 0.5)
-            _draw_line(axes, labels.index(line.label) + shift, line, measure, rng)
+            _draw_line(axes, labels.index(line.label) + shift, line, measure)
         axes.set(xlabel=name)
         axes.grid(visible=False, axis="y")
     axes_of[0].set(ylim=(len(labels) - 0.5, -0.5))
@@ -85,9 +81,7 @@ def draw_rows(title: str, lines: list[Line], rng: np.random.Generator) -> Figure
     return figure
 
 
-def _draw_line(
-    axes: Axes, place: float, line: Line, measure: str, rng: np.random.Generator
-) -> None:
+def _draw_line(axes: Axes, place: float, line: Line, measure: str) -> None:
     values = line.values(measure)
     if not values.size:
         return
@@ -95,7 +89,7 @@ def _draw_line(
     dots: dict[str, Any] = {"linestyle": "", "marker": "o", "color": colour}
     axes.plot(values, np.full(values.size, place), markersize=2.5, alpha=0.5, **dots)
     if values.size > 1:
-        interval = stats.bootstrap_interval(values, stats.mean, rng)
+        interval = stats.bootstrap_interval(values, stats.mean)
         axes.plot(interval, [place] * 2, color=colour, linewidth=1.4)
     axes.plot([values.mean()], [place], markersize=6, **dots)
 

@@ -47,14 +47,13 @@ short, so steps differ. A diverged run counts as falling at once from there on. 
 measure."""
 
 
-def to_markdown(title: str, budget: str, lines: list[Line], rng: np.random.Generator) -> str:
+def to_markdown(title: str, budget: str, lines: list[Line]) -> str:
     """The table with its heading.
 
     Args:
         title: of the ablation.
         budget: what every run had, in a few words.
         lines: in their order.
-        rng: drawn from for the intervals.
     """
     head = ["setting", "method", "seeds", *(name for _, name, _ in _MEASURES)]
     cells = [head]
@@ -62,19 +61,17 @@ def to_markdown(title: str, budget: str, lines: list[Line], rng: np.random.Gener
         lost = sum(run["diverged"] for run in line.runs)
         seeds = f"{len(line.runs)} ({lost:.0f} diverged)" if lost else str(len(line.runs))
         row = [line.label, line.method, seeds]
-        cells.append([*row, *(_cell(line, *measure, rng) for measure in _MEASURES)])
+        cells.append(
+            [*row, *(_cell(line, measure, decimals) for measure, _, decimals in _MEASURES)]
+        )
     return f"# {title}\n\n{budget}\n\n{_GUIDE}\n\n{table(cells)}"
 
 
-def _cell(line: Line, measure: str, name: str, decimals: int, rng: np.random.Generator) -> str:
-    del name
+def _cell(line: Line, measure: str, decimals: int) -> str:
     values = line.values(measure)
     if not values.size:
         return "–"
-    text = f"{values.mean():,.{decimals}f}"
-    if values.size > 1:
-        low, high = stats.bootstrap_interval(values, stats.mean, rng)
-        text += f" [{low:,.{decimals}f}, {high:,.{decimals}f}]"
+    text = f"{stats.estimate(values, stats.mean):,.{decimals}f}"
     if measure == "test_return_mean":
         text += f"; {float(stats.interquartile_mean(values, 0)):,.{decimals}f}"
     return text

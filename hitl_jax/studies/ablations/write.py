@@ -3,9 +3,6 @@
 import pathlib
 from typing import NamedTuple
 
-import numpy as np
-
-from hitl_jax.analysis import stats
 from hitl_jax.analysis.figure_style import attempt, save
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.studies.ablations import figure
@@ -73,13 +70,12 @@ def write_ablation(name: str, options: AblationOptions, store: Store) -> Written
         budget += (
             f"\n\n**Under way**: {done} of {asked} runs; those that end first are no fair choice."
         )
-    rng = np.random.default_rng(stats.SEED)
     ablation = ABLATIONS[name]
-    text = to_markdown(ablation.title, budget, lines, rng)
+    text = to_markdown(ablation.title, budget, lines)
     write_text_atomic(store.path.parent / f"{name}.md", text)
     draw = figure.draw_curves if ablation.is_number else figure.draw_rows
 
     def make() -> list[pathlib.Path]:
-        return save(draw(ablation.title, lines, rng), store.path.parent / name)
+        return save(draw(ablation.title, lines), store.path.parent / name)
 
     return Written(text, attempt({name: make}).failures)

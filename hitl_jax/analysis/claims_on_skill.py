@@ -1,0 +1,138 @@
+"""Claims about the tests: skill without the human, help by them, and alarms before falls."""
+
+import numpy as np
+
+from hitl_jax.analysis import stats, summary
+from hitl_jax.analysis.compared_runs import ComparedRuns
+from hitl_jax.analysis.verdicts import (
+    HOLDS,
+    HOLDS_NOT,
+    MARGIN,
+    UNDECIDED,
+    Claim,
+    in_resamples,
+    least,
+    of_sign,
+)
+from hitl_jax.results.episode_tables import METHODS, select
+
+_GOOD = 300.0
+_SURE = 0.8
+
+
+def skill(results: ComparedRuns) -> Claim:
+    """Figure 5: the order of the methods in the autonomous test."""
+    drawn = results.resampled()
+    centres, cells = [], []
+    for method in METHODS:
+        scores = _scores(results, method)
+        centres.append(stats.interquartile_mean(scores[drawn], 1))
+        centre = stats.estimate(scores, stats.interquartile_mean)
+        cells.append(
+            f"{method.upper()} {centre:.1f} (mean {stats.estimate(scores, stats.mean):.1f})"
+        )
+    srl, fix, ac = centres
+    verdict, share = in_resamples((ac >= _GOOD) & (ac > fix) & (fix > srl), centres)
+    return Claim(
+        "Skill without the human (Figure 5)",
+        "over 100 test episodes HITL-AC 279.7, HITL-FIX 260.5, SRL below",
+        f"interquartile means of the autonomous test return: HITL-AC's at least {_GOOD:.0f} and "
+        "above that of HITL-FIX with the same τ_0, and HITL-FIX's above SRL's",
+        f"{', '.join(reversed(cells))}; {share}",
+        verdict,
+        results.seeds,
+    )
+
+
+def skill_over_training(results: ComparedRuns) -> Claim | None:
+    """The autonomous tests during training; None where no run was tested then."""
+    tested: dict[int, list[str]] = {}
+    for method in reversed(METHODS):
+        runs = [run for run in results.runs[method] if len(run.progress["trained"])]
+        if not runs:
+            continue
+        points, returns = zip(*map(summary.skill_over_training, runs), strict=True)
+        for point, scores in zip(points[0], np.array(returns).T, strict=True):
+            centre = stats.estimate(scores, stats.interquartile_mean)
+            tested.setdefault(int(point), []).append(f"{method.upper()} {centre:.0f}")
+        episodes = int(runs[0].progress["episode"].max())
+    if not tested:
+        return None
+    return Claim(
+        "Skill over training",
+        "–",
+        "reported: interquartile mean of the autonomous test return at points of training, over "
+        f"the same {episodes} test episodes of a run at each",
+        "; ".join(f"episode {point}: {', '.join(cells)}" for point, cells in tested.items()),
+        "–",
+        results.seeds,
+    )
+
+
+def improvement(results: ComparedRuns) -> Claim:
+    """How often one method is above another on the same seed."""
+    cells, verdicts = [], []
+    for x, y in (("hitl-ac", "hitl-fix"), ("hitl-fix", "srl")):
+        better, worse = _scores(results, x), _scores(results, y)
+        p = stats.probability_of_improvement(better, worse)
+        cells.append(f"{x.upper()} over {y.upper()} {p:.2f}")
+        if p.value >= _SURE and p.low > 0.5:
+            verdicts.append(HOLDS)
+        else:
+            verdicts.append(HOLDS_NOT if p.high < _SURE else UNDECIDED)
+    return Claim(
+        "How sure that order is",
+        "one run of each method",
+        f"probability of improvement, paired by seed, at least {_SURE} for each step, its interval "
+        "above 0.5",
+        ", ".join(cells),
+        least(verdicts),
+        results.seeds,
+    )
+
+
+def assistance(results: ComparedRuns) -> Claim:
+    """Whether the human's help in the test raises the return."""
+    gains = []
+    for run in results.runs["hitl-ac"]:
+        alone, helped = (
+            select(run.tests, "mode", mode)["return"].mean() for mode in ("autonomous", "assisted")
+        )
+        gains.append(helped - alone)
+    gain = stats.estimate(np.array(gains), stats.mean)
+    return Claim(
+        "Help in the test",
+        "the boundary guides the agent to seek the human's intervention",
+        f"HITL-AC's mean assisted test return more than {MARGIN:.0f} above its autonomous one",
+        f"{gain:+.1f}; above it by more than 1 in {(np.array(gains) > 1).sum()} of "
+        f"{gain.seeds} seeds",
+        of_sign(gain, MARGIN),
+        results.seeds,
+    )
+
+
+def alarms(results: ComparedRuns) -> Claim:
+    """How many falls an alarm came before."""
+    falls = warned = 0
+    leads: list[float] = []
+    for run in results.runs["hitl-ac"]:
+        tests = select(run.tests, "mode", "autonomous")
+        lead = tests["lead_steps"][tests["fall"] == 1]
+        falls += lead.size
+        warned += int((~np.isnan(lead)).sum())
+        leads += lead[~np.isnan(lead)].tolist()
+    seconds = np.median(leads) / summary.STEPS_PER_SECOND if leads else 0.0
+    return Claim(
+        "Alarms before falls",
+        "–",
+        "reported: falls in HITL-AC's autonomous tests with an alarm in the last second",
+        f"{warned} of {falls} falls"
+        + (f"; {seconds:.2f} s before it by the median" if leads else ""),
+        "–",
+        results.seeds,
+    )
+
+
+def _scores(results: ComparedRuns, method: str) -> np.ndarray:
+    rows = [summary.summarise_run(run) for run in results.runs[method]]
+    return np.array([row["test_return_mean"] for row in rows], float)

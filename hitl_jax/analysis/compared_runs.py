@@ -1,0 +1,30 @@
+"""The runs that claims are judged on."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hitl_jax.analysis import stats
+from hitl_jax.results.episode_tables import METHODS
+from hitl_jax.results.folder import Run
+
+
+class ComparedRuns(NamedTuple):
+    """The runs of one learner, the same seeds of each method in the same order.
+
+    Attributes:
+        runs: finished runs by method.
+        tolerance: hull angle from which the human sees danger [rad].
+    """
+
+    runs: dict[str, list[Run]]
+    tolerance: float
+
+    @property
+    def seeds(self) -> int:
+        """S."""
+        return len(self.runs[METHODS[0]])
+
+    def resampled(self) -> np.ndarray:
+        """Indices of seeds drawn with replacement, the same for all methods, [resamples, S]."""
+        return stats.resampled_seeds(self.seeds)

@@ -1,0 +1,150 @@
+"""What the figures draw, read from a results folder."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hitl_jax.analysis.figure_style import literal
+from hitl_jax.analysis.summary import skill_over_training
+from hitl_jax.results.config_diff import flatten
+from hitl_jax.results.episode_tables import METHODS, Table
+from hitl_jax.results.folder import ResultsFolder
+
+
+class MethodData(NamedTuple):
+    """One method's data: training episodes of all runs, test episodes of the finished ones.
+
+    Attributes:
+        name: of the method.
+        training: of each run.
+        played: the same without the episodes that a diverged run could not play, which count as
+            falls in `training`.
+        unfinished: how many of these runs are under way.
+        tests: of each run that was tested.
+        points: training episodes until each test during training, [P].
+        progress: mean return of each of those tests, [P], of each run that was so tested.
+        progress_episodes: of each of those tests.
+    """
+
+    name: str
+    training: list[Table]
+    played: list[Table]
+    unfinished: int
+    tests: list[Table]
+    points: np.ndarray
+    progress: list[np.ndarray]
+    progress_episodes: int
+
+    def column(self, name: str) -> list[np.ndarray]:
+        """A column of the training episodes of each run."""
+        return [table[name] for table in self.training]
+
+
+class BoundaryRule(NamedTuple):
+    """Line 8 of Algorithm 1, where it is executed.
+
+    Attributes:
+        initial: τ_0.
+        minus: Δ⁻, by which a true alarm lowers τ.
+        plus: Δ⁺, by which a false alarm raises τ.
+        has_actor: whether an actor's output is added.
+    """
+
+    initial: float
+    minus: float
+    plus: float
+    has_actor: bool
+
+
+class FigureData(NamedTuple):
+    """Everything that figures 4 to 7 draw.
+
+    Attributes:
+        methods: those with data.
+        window: episodes over which returns are averaged.
+        boundary_label: of an axis.
+        rule: how τ moves; None where another rule is executed.
+        tolerance: the human's threshold in the indicator's unit; None where there is none.
+    """
+
+    methods: list[MethodData]
+    window: int
+    boundary_label: str
+    rule: BoundaryRule | None
+    tolerance: float | None
+
+    @property
+    def trained(self) -> list[MethodData]:
+        """Methods with training episodes."""
+        return [m for m in self.methods if m.training]
+
+    @property
+    def with_human(self) -> list[MethodData]:
+        """Methods with a human, with training episodes that were played."""
+        return [m for m in self.methods if m.played and m.name != "srl"]
+
+    @property
+    def return_label(self) -> str:
+        """Of an axis of smoothed training returns."""
+        return f"training return\n({self.averaged})"
+
+    @property
+    def averaged(self) -> str:
+        """What the points of a smoothed curve are, of each seed."""
+        return f"mean of the last {self.window} episodes"
+
+
+def load(folder: ResultsFolder) -> FigureData:
+    """The data of a folder, those of unfinished runs included.
+
+    Raises:
+        ResultsError: if the folder or a run is damaged.
+    """
+    runs, partials = folder.load_all(), folder.load_partials()
+    methods = []
+    for name in METHODS:
+        finished = [run for run in runs if run.key.method == name]
+        begun = [t for key, t in partials.items() if key.method == name and len(t["episode"])]
+        training = [run.episodes for run in finished if len(run.episodes["episode"])] + begun
+        played = [run.played for run in finished if len(run.played["episode"])] + begun
+        tested = [run for run in finished if (run.tests["mode"] == "autonomous").any()]
+        often = [skill_over_training(run) for run in tested if len(run.progress["trained"])]
+        if training or tested:
+            points = often[0][0] if often else np.empty(0)
+            # All runs of a folder have the same points.
+            progress = [returns for _, returns in often]
+            tests = [run.tests for run in tested]
+            each = max((run.progress["episode"].max(initial=0) for run in tested), default=0)
+            shown = (name, training, played, len(begun), tests, points, progress, int(each))
+            methods.append(MethodData(*shown))
+    longest = max((len(t["episode"]) for m in methods for t in m.training), default=0)
+    window = int(np.clip(longest // 10, 20, 100))
+    rule, tolerance = _boundary_rule(folder.load_config()), tolerance_in(folder)
+    return FigureData(methods, window, boundary_label(folder), rule, tolerance)
+
+
+def _boundary_rule(config: dict[str, Any]) -> BoundaryRule | None:
+    source = config.get("agent", {}).get("boundary_source")
+    numbers = config.get("hyper", {})
+    initial, minus, plus = (
+        numbers.get(name) for name in ("initial_boundary", "delta_minus", "delta_plus")
+    )
+    if source not in ("rule", "residual") or None in (initial, minus, plus):
+        return None
+    return BoundaryRule(initial, minus, plus, source == "residual")
+
+
+def boundary_label(folder: ResultsFolder) -> str:
+    """What an axis of boundaries is called: they have the unit of the folder's indicator."""
+    config = flatten(folder.load_config())
+    indicators = [value for key, value in config.items() if key.split(".")[-1] == "indicator"]
+    in_radians = set(indicators) <= {"hull_angle"}
+    return "boundary [rad]" if in_radians else literal(f"boundary [unit of {indicators[0]}]")
+
+
+def tolerance_in(folder: ResultsFolder) -> float | None:
+    """The human's own threshold, where it is one for the folder's indicator, the hull angle."""
+    config = flatten(folder.load_config())
+    if (config.get("agent.indicator"), config.get("agent.danger")) != ("hull_angle", "threshold"):
+        return None
+    return config.get("hyper.human.tolerance")

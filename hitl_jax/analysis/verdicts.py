@@ -1,0 +1,71 @@
+"""A claim as a row of the report, and the rules by which numbers decide it.
+
+Each claim is given what the paper says, what must be seen for it to hold here, what was measured,
+and a verdict that follows from the last two by a rule.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hitl_jax.analysis import stats
+
+MARGIN = 10.0
+"""Points of return that do not matter."""
+
+HOLDS, HOLDS_NOT, UNDECIDED = "holds", "does not hold", "not decided"
+
+
+class Claim(NamedTuple):
+    """One row of the table.
+
+    Attributes:
+        name: in a few words, with the figure.
+        paper: what the paper says.
+        aim: what must be seen.
+        measured: what was.
+        verdict: `HOLDS`, `HOLDS_NOT` or `UNDECIDED`; "–" where a number is only reported.
+        seeds: S, over which it was measured.
+    """
+
+    name: str
+    paper: str
+    aim: str
+    measured: str
+    verdict: str
+    seeds: int
+
+
+def of_sign(estimate: stats.Estimate, threshold: float = 0.0) -> str:
+    """The verdict on "above a threshold": by the side on which the whole interval lies."""
+    if estimate.low > threshold:
+        return HOLDS
+    return HOLDS_NOT if estimate.high < threshold else UNDECIDED
+
+
+def in_resamples(holds: np.ndarray, of: Sequence[np.ndarray]) -> tuple[str, str]:
+    """A verdict from the share of resamples in which a claim holds, and that share in words.
+
+    Args:
+        holds: bool [resamples].
+        of: the numbers that were compared, [resamples] each; NaN in one decides nothing.
+    """
+    share = share_of(holds, of)
+    return verdict_of(share), f"so in {100 * share:.0f} % of resamples of the seeds"
+
+
+def share_of(holds: np.ndarray, of: Sequence[np.ndarray]) -> float:
+    """The share of resamples in which a claim holds; NaN if a number that it compares is NaN."""
+    return float("nan") if np.isnan(of).any() else float(holds.mean())
+
+
+def verdict_of(share: float) -> str:
+    """The verdict from such a share; NaN decides nothing."""
+    return HOLDS if share >= 0.975 else HOLDS_NOT if share <= 0.025 else UNDECIDED
+
+
+def least(verdicts: Sequence[str]) -> str:
+    """Of several parts of a claim: it holds where all do, and does not where one does not."""
+    order = (HOLDS_NOT, UNDECIDED, HOLDS)
+    return min(verdicts, key=order.index)
