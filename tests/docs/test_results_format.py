@@ -7,7 +7,13 @@ from pages import ROOT, first_column, python_in, run, section
 
 from hitl_jax.analysis.summary import SUMMARY_COLUMNS
 from hitl_jax.learner.networks import Actor
-from hitl_jax.results.episode_tables import EPISODE_COLUMNS, PROGRESS_COLUMNS, TEST_COLUMNS
+from hitl_jax.results.episode_tables import (
+    ENDS,
+    EPISODE_COLUMNS,
+    MODES,
+    PROGRESS_COLUMNS,
+    TEST_COLUMNS,
+)
 from hitl_jax.results.folder import RUN_FILES
 from hitl_jax.results.recorded_episodes import STEP_COLUMNS
 from hitl_jax.team import checkpoint
@@ -30,6 +36,13 @@ LAYOUT = "The observation and the action of BipedalWalker"
 )
 def test_tables_name_what_is_written_in_its_order(heading, columns):
     assert first_column(section(PAGE, heading)) == list(columns)
+
+
+def test_words_in_tables():
+    page = (ROOT / PAGE).read_text()
+    for column, words in (("end", ENDS), ("mode", MODES)):
+        [row] = [line for line in page.splitlines() if line.startswith(f"| `{column}` | word | `")]
+        assert all(f"`{word}`" in row for word in words)
 
 
 def test_arrays_of_recorded_episodes(tmp_path):
