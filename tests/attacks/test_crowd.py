@@ -1,4 +1,4 @@
-"""Strangers at the live page's port: connections, requests and lines of log are bounded."""
+"""Connections without the token at the live page's port: number, time and log are limited."""
 
 import asyncio
 import contextlib
@@ -110,7 +110,7 @@ def test_the_one_that_was_idle_longest_goes_for_one_more():
 
 
 def test_who_has_shown_the_token_stays(tmp_path, monkeypatch):
-    """A page that is open, when a crowd comes and its patience is over."""
+    """A page that is open keeps its connection, beside a crowd and after the time limit."""
     monkeypatch.setattr(
         "hitl_jax.live.server.ConnectionLimits", lambda: ConnectionLimits(most=5, seconds=0.3)
     )
@@ -125,11 +125,11 @@ def test_who_has_shown_the_token_stays(tmp_path, monkeypatch):
             if message["type"] == "frame":
                 number = message["n"]
                 page.send(json.dumps({"type": "seen", "frame": number}))
-        assert time.monotonic() - began > 0.6  # Twice the patience.
+        assert time.monotonic() - began > 0.6  # Twice the time limit.
 
 
 def test_a_page_is_had_beside_a_crowd(tmp_path):
-    """How soon, and how many frames a second, the benchmark tells: tests share a machine."""
+    """Times and frames a second are the benchmark's matter, since tests share a machine."""
     with (
         Served(Session(setup_of()), tmp_path / "journal.jsonl") as served,
         crowd(served.port, size=600),
@@ -140,7 +140,7 @@ def test_a_page_is_had_beside_a_crowd(tmp_path):
 
 
 def test_a_page_behind_a_proxy_stays(tmp_path, monkeypatch):
-    """Which says for whom it asks; the connection is the proxy's."""
+    """A proxy's header names the client, but the connection is the proxy's."""
     monkeypatch.setattr(
         "hitl_jax.live.server.ConnectionLimits", lambda: ConnectionLimits(seconds=0.3)
     )
