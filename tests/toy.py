@@ -3,6 +3,7 @@
 import numpy as np
 
 from hitl_jax.envs import Command, StepBatch
+from hitl_jax.results.episode_measures import WALKER_ENDS
 
 TIME_LIMIT = 40
 
@@ -15,6 +16,7 @@ class ToyPool:
     """
 
     seedable = True
+    ends = WALKER_ENDS
     observation_size = 24
     action_size = 4
 

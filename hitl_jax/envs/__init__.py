@@ -10,6 +10,7 @@ from hitl_jax.choices.registry import Registry, having
 from hitl_jax.envs import box2d
 from hitl_jax.envs.base import Command, StepBatch, WalkerPool
 from hitl_jax.errors import Unplayable, WalkerError
+from hitl_jax.results.episode_measures import UNKNOWN_ENDS, WALKER_ENDS, EndRule
 from hitl_jax.xla.cores import num_cores
 
 BACKENDS: Registry[WalkerPool] = Registry(
@@ -132,7 +133,9 @@ def _gymnasium(num_walkers: int, num_workers: int, env_id: str, seed: int) -> Wa
 def _envpool(num_walkers: int, num_workers: int, env_id: str, seed: int) -> WalkerPool:
     from hitl_jax.envs.envpool_pool import EnvpoolPool
 
-    return EnvpoolPool(env_id, num_walkers, num_workers, seed=seed)
+    pool = EnvpoolPool(env_id, num_walkers, num_workers, seed=seed)
+    pool.ends = _ends(env_id)
+    return pool
 
 
 @BACKENDS.register("jax", "our own, compiled, which agrees with them up to rounding")
@@ -148,7 +151,14 @@ def _workers(backend: str, num_walkers: int, num_workers: int, env_id: str) -> W
     require_backend(backend, env_id)
     from hitl_jax.envs.worker_pool import WorkerPool
 
-    return WorkerPool(backend, env_id, num_walkers, num_workers)
+    pool = WorkerPool(backend, env_id, num_walkers, num_workers)
+    pool.ends = _ends(env_id)
+    return pool
+
+
+def _ends(env_id: str) -> EndRule:
+    """What the ends of an environment's episodes mean; known of `OUR_WALKERS` alone."""
+    return WALKER_ENDS if env_id in OUR_WALKERS else UNKNOWN_ENDS
 
 
 def _require_ours(backend: str, env_id: str) -> None:

@@ -6,6 +6,8 @@ from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
+from hitl_jax.results.episode_measures import UNKNOWN_ENDS, EndRule
+
 
 class Command:
     """What a walker does in one tick.
@@ -48,12 +50,14 @@ class WalkerPool(Protocol):
         observation_size: O.
         action_size: A.
         seedable: whether a RESET honours its seed, so that an episode can be repeated.
+        ends: what it means that the environment ends an episode; a pool may lack it, see `ends_of`.
     """
 
     num_walkers: int
     observation_size: int
     action_size: int
     seedable: bool
+    ends: EndRule
 
     def send(self, command: np.ndarray, action: np.ndarray, seed: np.ndarray) -> None:
         """Starts a tick and returns without waiting for it.
@@ -102,6 +106,11 @@ class WalkerPool(Protocol):
     ) -> None: ...
 
 
+def ends_of(pool: WalkerPool) -> EndRule:
+    """What the ends of a pool's episodes mean; of a pool that does not say, nothing is known."""
+    return getattr(pool, "ends", UNKNOWN_ENDS)
+
+
 class CheckedPool(abc.ABC):
     """A `WalkerPool` without its walkers: checks arguments, order of calls, who is in an episode.
 
@@ -109,6 +118,7 @@ class CheckedPool(abc.ABC):
     """
 
     seedable: bool
+    ends: EndRule = UNKNOWN_ENDS
 
     def __init__(self, num_walkers: int, observation_size: int, action_size: int):
         """Starts with all walkers waiting for their first RESET.

@@ -10,6 +10,7 @@ import numpy as np
 
 from hitl_jax import walker
 from hitl_jax.envs.base import CheckedPool, Command, StepBatch
+from hitl_jax.results.episode_measures import WALKER_ENDS
 from hitl_jax.walker import Step, Walker, gpu
 from hitl_jax.xla import full_registers
 from hitl_jax.xla.devices import walker_devices
@@ -43,6 +44,7 @@ class JaxPool(CheckedPool):
     """
 
     seedable = True
+    ends = WALKER_ENDS
 
     def __init__(self, num_walkers: int, num_devices: int, hardcore: bool = False):
         """Makes the walkers; compiles at the first tick.

@@ -223,7 +223,9 @@ class _DeviceWalkers:
             self._log.add(live & end.sound, step[:, layout.action.start :])
             for lane in np.flatnonzero(end.ended).tolist():
                 steps, hyper = self._log.of(lane), self._hypers[lane]
-                yield self._ended(lane, row_of(episode_of(steps, self._logged, config, hyper)))
+                yield self._ended(
+                    lane, row_of(episode_of(steps, self._logged, config, hyper), self._pool.ends)
+                )
             slots.needs_reset[:] = False
             slots.observation = answer.observation
 

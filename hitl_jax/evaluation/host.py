@@ -9,6 +9,7 @@ import numpy as np
 from hitl_jax.choices.checks import require_whole
 from hitl_jax.config import RunHyper, typed
 from hitl_jax.envs import Command, WalkerPool
+from hitl_jax.envs.base import ends_of
 from hitl_jax.envs.episode_log import EpisodeLog
 from hitl_jax.evaluation.trials import (
     Mode,
@@ -119,6 +120,7 @@ class _Test:
         self, agent: Agent, pool: WalkerPool, mode: Mode, hyper: RunHyper, seeds: np.ndarray
     ):
         self._config, self._layout, self._pool, self._mode = agent.config, agent.layout, pool, mode
+        self._ends = ends_of(pool)
         self.hyper = typed(frozen(hyper, human_present=mode == "assisted"))
         self._seeds = seeds
         self.width = full_registers.full(seeds.shape[1])
@@ -171,7 +173,10 @@ class _Test:
         self._log.add(self.active, decided[:, layout.action.start :])
         for walker in np.flatnonzero(end.ended).tolist():
             steps = self._log.of(walker)
-            self._end(walker, row_of(episode_of(steps, self._logged, self._config, self.hyper)))
+            self._end(
+                walker,
+                row_of(episode_of(steps, self._logged, self._config, self.hyper), self._ends),
+            )
         self._observation = answer.observation
 
     def rows(self) -> list[Row]:

@@ -1,6 +1,9 @@
-"""The measures of an episode, in training and test alike (host, NumPy)."""
+"""The measures of an episode, in training and test alike (host, NumPy).
 
-from collections.abc import Sequence
+A further number in episodes.csv is one more line in `MEASURES`.
+"""
+
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +13,8 @@ ALARM_WINDOW = 50
 
 FALL_REWARD = -100.0
 """BipedalWalker's reward for the step in which it falls."""
+
+NAN = float("nan")
 
 Row = dict[str, Any]
 
@@ -79,24 +84,63 @@ def num_lost(rows: Sequence[Row]) -> int:
     return sum(NOT_FINITE in row for row in rows)
 
 
+class Measure(NamedTuple):
+    """A number, or a word, that is told of an episode: a column of the tables.
+
+    Attributes:
+        name: of the column.
+        of: its value, from the episode and how it ended.
+        of_a_fall_at_once: its value where an episode could not be played.
+        kind: `count`, `number`, or `text` (one of `episode_tables.ENDS`).
+        in_tests: whether tables of tests have it too.
+        may_be_nan: whether there may be no value.
+        absent: its value in tables of an earlier version, which lack the column; None if all have
+            it.
+    """
+
+    name: str
+    of: Callable[[Episode, str], Any]
+    of_a_fall_at_once: Any
+    kind: str = "count"
+    in_tests: bool = True
+    may_be_nan: bool = False
+    absent: float | None = None
+
+
+MEASURES = (
+    # The sum of r(s, a).
+    Measure("return", lambda e, _: _sum(e.reward), FALL_REWARD, "number"),
+    # The sum of equation (7), which the learner is given.
+    Measure("shaped_return", lambda e, _: _sum(e.shaped), FALL_REWARD, "number", in_tests=False),
+    # Environment steps.
+    Measure("length", lambda e, _: len(e.reward), 1),
+    # Interventions that began.
+    Measure("interventions", lambda e, _: int(e.began.sum()), 0),
+    # Steps in which the human's action was executed.
+    Measure("human_steps", lambda e, _: int(e.human_action.sum()), 0),
+    # Steps with |c_t| >= |τ_t|; of these, those in which the human saw danger, and the others.
+    Measure("alarms", lambda e, _: int(e.alarmed.sum()), 0),
+    Measure("true_alarms", lambda e, _: int((e.alarmed & e.dangerous).sum()), 0),
+    Measure("false_alarms", lambda e, _: int((e.alarmed & ~e.dangerous).sum()), 0),
+    # Whether the episode ended by a fall, and how it ended.
+    Measure("fall", lambda _, end: int(end == "fall"), 1),
+    Measure("end", lambda _, end: end, "fall", "text"),
+    # τ over the episode, and at its last step, in the indicator's unit; NaN without an arbiter.
+    Measure("mean_boundary", lambda e, _: _mean(e.boundary), NAN, "number", may_be_nan=True),
+    Measure("final_boundary", lambda e, _: float(e.boundary[-1]), NAN, "number", False, True),
+    # Alarms in the last second before a fall, and the steps from the first of them to the fall.
+    Measure("alarms_before_fall", lambda e, end: len(_timely(e, end)), 0),
+    Measure("lead_steps", lambda e, end: _lead(e, end), NAN, "number", may_be_nan=True),
+)
+"""In the order of the columns."""
+
+
 def fall_at_once() -> Row:
     """The row of an episode that could not be played since the numbers were not finite.
 
     It counts against the method, as a fall of BipedalWalker in the first step.
     """
-    counts = dict.fromkeys(("interventions", "human_steps", "alarms", "true_alarms"), 0)
-    unknown = dict.fromkeys(("mean_boundary", "final_boundary", "lead_steps"), float("nan"))
-    return {
-        "return": FALL_REWARD,
-        "shaped_return": FALL_REWARD,
-        "length": 1,
-        "fall": 1,
-        "end": "fall",
-        "false_alarms": 0,
-        "alarms_before_fall": 0,
-        **counts,
-        **unknown,
-    }
+    return {measure.name: measure.of_a_fall_at_once for measure in MEASURES}
 
 
 def how_it_ended(reward: float, terminated: bool, human_reset: bool, rule: EndRule) -> str:
@@ -125,31 +169,26 @@ def row_of(episode: Episode, rule: EndRule = WALKER_ENDS) -> Row:
         episode: its steps.
         rule: what the end of an episode means in its task.
     """
-    length = len(episode.reward)
     last = (float(episode.reward[-1]), bool(episode.terminated[-1]), bool(episode.human_reset[-1]))
     end = how_it_ended(*last, rule)
-    alarms = int(episode.alarmed.sum())
-    true_alarms = int((episode.alarmed & episode.dangerous).sum())
-    before_fall = episode.alarmed[-ALARM_WINDOW:] if end == "fall" else episode.alarmed[:0]
-    timely = np.flatnonzero(before_fall[::-1])
-    return {
-        "return": _sum(episode.reward),
-        "shaped_return": _sum(episode.shaped),
-        "length": length,
-        "interventions": int(episode.began.sum()),
-        "human_steps": int(episode.human_action.sum()),
-        "alarms": alarms,
-        "true_alarms": true_alarms,
-        "false_alarms": alarms - true_alarms,
-        "fall": int(end == "fall"),
-        "end": end,
-        "mean_boundary": _sum(episode.boundary) / length,
-        "final_boundary": float(episode.boundary[-1]),
-        "alarms_before_fall": len(timely),
-        "lead_steps": float(timely[-1]) if len(timely) else float("nan"),
-    }
+    return {measure.name: measure.of(episode, end) for measure in MEASURES}
 
 
 def _sum(values: np.ndarray) -> float:
     """In the order of the steps, as one adds them up while they come."""
     return float(np.cumsum(values, dtype=float)[-1])
+
+
+def _mean(values: np.ndarray) -> float:
+    return _sum(values) / len(values)
+
+
+def _timely(episode: Episode, end: str) -> np.ndarray:
+    """Steps from each alarm in the last second before a fall to the fall, rising, [K]."""
+    before_fall = episode.alarmed[-ALARM_WINDOW:] if end == "fall" else episode.alarmed[:0]
+    return np.flatnonzero(before_fall[::-1])
+
+
+def _lead(episode: Episode, end: str) -> float:
+    timely = _timely(episode, end)
+    return float(timely[-1]) if len(timely) else NAN

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from hitl_jax.results.episode_measures import MEASURES
+
 Table = dict[str, np.ndarray]
 """Column name to values [T]."""
 
@@ -23,57 +25,32 @@ ENDS = ("fall", "goal", "terminated", "time-limit", "human-reset")
 """How an episode ended; "terminated": by the environment, and what that means is not known."""
 MODES = ("autonomous", "assisted")
 
-EPISODE_COLUMNS = (
-    "episode",  # counted from 1
-    "return",  # of the environment alone
-    "shaped_return",  # of what the learner was given: with the human's feedback
-    "length",  # environment steps
-    "env_steps",  # of the run so far, this episode included
-    "interventions",  # begun
-    "human_steps",  # controlled by the human
-    "alarms",  # steps with |c_t| >= |τ_t|
-    "true_alarms",  # alarms where the human saw danger
-    "false_alarms",  # alarms where the human did not
-    "fall",  # 0 or 1
-    "end",  # one of ENDS
-    "mean_boundary",  # τ over the episode, in the indicator's unit; NaN without an arbiter
-    "final_boundary",  # τ at its last step, likewise
-    "alarms_before_fall",  # alarms within the last k steps before a fall
-    "lead_steps",  # from the first of those to the fall; NaN if none
-)
-"""Columns of a run's training episodes."""
+_NAMES = tuple(measure.name for measure in MEASURES)
+_BEFORE_STEPS = _NAMES.index("length") + 1
 
-TEST_COLUMNS = (
-    "mode",  # one of MODES
-    "episode",
-    "return",
-    "length",
-    "interventions",
-    "human_steps",
-    "alarms",
-    "true_alarms",
-    "false_alarms",
-    "fall",
-    "end",
-    "mean_boundary",
-    "alarms_before_fall",
-    "lead_steps",
-)
-"""Columns of a run's test episodes; they mean what they mean in training."""
+EPISODE_COLUMNS = ("episode", *_NAMES[:_BEFORE_STEPS], "env_steps", *_NAMES[_BEFORE_STEPS:])
+"""Columns of a run's training episodes: its number, counted from 1; the `MEASURES`; and, behind the
+episode's length, the environment steps of the run so far, this episode included."""
+
+TEST_COLUMNS = ("mode", "episode", *(measure.name for measure in MEASURES if measure.in_tests))
+"""Columns of a run's test episodes: one of `MODES`; its number; and those of the `MEASURES` that
+tests have."""
 
 PROGRESS_COLUMNS = ("trained", *TEST_COLUMNS[1:])
 """Columns of a run's autonomous test episodes before its end; `trained` counts training episodes
 until then."""
 
 _TEXT = {"mode": MODES, "end": ENDS}
-_FLOATS = ("return", "shaped_return", "mean_boundary", "final_boundary", "lead_steps")
+_FLOATS = tuple(measure.name for measure in MEASURES if measure.kind == "number")
 _NUMBER = r"(?:-?[0-9]+(?:\.[0-9]+)?(?:e[-+]?[0-9]+)?|nan|)"
 """As Python writes it; NaN is a cell without anything too."""
 _MOST_COUNT = 2**53
 _GREATEST = 1e30
 """Of what is measured: greater numbers are none, and their sums overflow."""
 _LONGEST_CELL = 500
-_MAY_BE_NAN = ("mean_boundary", "final_boundary", "lead_steps")
+_MAY_BE_NAN = tuple(measure.name for measure in MEASURES if measure.may_be_nan)
+_ABSENT = {measure.name: measure.absent for measure in MEASURES if measure.absent is not None}
+"""Values of columns that came later, in tables that were written without them."""
 
 
 def to_table(columns: Mapping[str, object], names: tuple[str, ...]) -> Table:
@@ -117,12 +94,18 @@ def table_to_csv(table: Table) -> str:
 
 
 def table_from_csv(text: str, names: tuple[str, ...]) -> Table:
-    """The inverse of `table_to_csv`.
+    """The inverse of `table_to_csv`; columns that came later may be missing.
 
     Raises:
         ValueError: one line saying what is wrong, with the line of the file where there is one.
     """
-    return to_table(cells_from_csv(text, names), names)
+    header = next(csv.reader(io.StringIO(text)), [])
+    later = [name for name in names if name in _ABSENT and name not in header]
+    columns: dict[str, Any] = dict(
+        cells_from_csv(text, tuple(name for name in names if name not in later))
+    )
+    rows = len(columns[names[0]])
+    return to_table(columns | {name: np.full(rows, _ABSENT[name]) for name in later}, names)
 
 
 def cells_from_csv(text: str, names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:

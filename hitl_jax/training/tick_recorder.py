@@ -6,6 +6,7 @@ import numpy as np
 
 from hitl_jax.config import AgentConfig
 from hitl_jax.envs import WalkerPool
+from hitl_jax.envs.base import ends_of
 from hitl_jax.envs.episode_log import EpisodeLog
 from hitl_jax.learner.frame import Layout, flag_of
 from hitl_jax.results.episode_measures import row_of
@@ -43,6 +44,7 @@ class TickRecorder:
         """
         num_slots = pool.num_walkers
         self._config, self._layout, self._chunk = config, layout, loop.chunk
+        self._ends = ends_of(pool)
         self.logged = layout.without_observation
         self.recorded_width = pool.action_size + len(STEP_COLUMNS)
         self.slots = Slots(
@@ -145,7 +147,7 @@ class TickRecorder:
     def _end_episode(self, slot: int) -> None:
         run = self._run(slot)
         steps, hyper = self._log.of(slot), run.spec.hyper
-        row = row_of(episode_of(steps, self.logged, self._config, hyper))
+        row = row_of(episode_of(steps, self.logged, self._config, hyper), self._ends)
         run.env_steps += len(steps)
         run.episodes.append({"episode": len(run.episodes) + 1, "env_steps": run.env_steps, **row})
         for name in names_of(run.episodes, run.recordings):
