@@ -27,7 +27,7 @@ class Option(NamedTuple):
     at_most: float = GREATEST
 
 
-def options_of(parts: Iterable[Any]) -> dict[str, Option]:
+def all_options(parts: Iterable[Any]) -> dict[str, Option]:
     """All options of some choices, by name.
 
     Args:
@@ -49,7 +49,7 @@ def completed(given: Mapping[str, Any], options: Mapping[str, Option]) -> dict[s
 
     Args:
         given: numbers by name, on the host or traced.
-        options: of `options_of`.
+        options: of `all_options`.
     """
     return {name: option.default for name, option in options.items()} | dict(given)
 
@@ -61,7 +61,7 @@ def require_known(
 
     Args:
         given: numbers by name; what is missing has its default.
-        options: of `options_of`.
+        options: of `all_options`.
         name: of the field that holds them, for the message.
 
     Raises:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import chex
 import jax
 
-from hitl_jax.choices.options import Option, options_of
+from hitl_jax.choices.options import Option, all_options
 from hitl_jax.human.params import HumanParams
 
 State = Any
@@ -125,5 +125,5 @@ def chain(*parts: HumanPart) -> HumanPart:
         judge=judge,
         notify=notify,
         observation_size=next(iter(sizes), None),
-        options=tuple(options_of(parts).values()),
+        options=tuple(all_options(parts).values()),
     )

@@ -11,7 +11,7 @@ from hitl_jax import human
 from hitl_jax.arbiter import INTERVENTIONS, RELEASES, Intervention
 from hitl_jax.arbiter.releases import Release
 from hitl_jax.boundary import SOURCES, BoundaryLearner, BoundarySource
-from hitl_jax.choices.options import Option, completed, options_of, require_known
+from hitl_jax.choices.options import Option, all_options, completed, require_known
 from hitl_jax.config import AgentConfig, Hyper, RunHyper, as_float32, traced, validate_hyper
 from hitl_jax.errors import InvalidValue
 from hitl_jax.human import actions
@@ -66,7 +66,7 @@ class Agent(NamedTuple):
     @property
     def options(self) -> dict[str, Option]:
         """What `Hyper.extra` can hold for this team, by name."""
-        return options_of(
+        return all_options(
             (self.learner, self.boundary_source, self.intervention, self.release, self.indicator)
         )
 
@@ -77,7 +77,7 @@ class Agent(NamedTuple):
             hyper: `Hyper` or `RunHyper`, of numbers on the host or traced; not checked.
         """
         extra = completed(hyper.extra, self.options)
-        of_human = completed(hyper.human.extra, options_of([self.human]))
+        of_human = completed(hyper.human.extra, all_options([self.human]))
         return dataclasses.replace(
             hyper, extra=extra, human=dataclasses.replace(hyper.human, extra=of_human)
         )
@@ -164,7 +164,7 @@ def validate(agent: Agent, hyper: Hyper) -> None:
 def require_extra(agent: Agent, hyper: Hyper) -> None:
     """Checks the numbers of the choices' own options; see `validate`."""
     require_known(hyper.extra, agent.options)
-    require_known(hyper.human.extra, options_of([agent.human]), "human.extra")
+    require_known(hyper.human.extra, all_options([agent.human]), "human.extra")
 
 
 def init(agent: Agent, key: chex.PRNGKey) -> TrainState:

@@ -221,7 +221,7 @@ def test_order_of_calls(toys):
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (("mujoco", 1), "backend 'mujoco': must be one of lean, gymnasium, envpool, jax"),
+        (("mujoco", 1), "backend mujoco: must be one of lean, gymnasium, envpool, jax"),
         (("gymnasium", 0), "num_walkers 0: must be a whole number of at least 1"),
         (("gymnasium", 2.0), "num_walkers 2.0: must be"),
         (("envpool", 4, -1), "num_workers -1: must be"),
