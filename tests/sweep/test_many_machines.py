@@ -18,6 +18,7 @@ from hitl_jax.commands import merge
 from hitl_jax.commands.seed_sweep import main
 from hitl_jax.console.cli import run_main
 from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.sweep import run_sweep
 
 # A cluster begins by a fork, in which nothing of JAX's is used.
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork", "ignore::ResourceWarning")
