@@ -81,7 +81,7 @@ def _read(
     return ("another" if another else "wrong accept"), told
 
 
-_LINES = ("ResultsError", "ValueError", "ConfigMismatch", "CannotReturn")
+_LINES = ("ResultsError", "ValueError", "InvalidValue", "ConfigMismatch", "CannotReturn")
 """What commands turn into one line."""
 
 

@@ -14,10 +14,11 @@ import pytest
 import small
 from forged import rewrite
 
-from hitl_jax.commands import merge, seed_sweep
+from hitl_jax.commands import merge
 from hitl_jax.commands.seed_sweep import main
 from hitl_jax.console.cli import run_main
 from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.sweep import run_sweep
 
 # A cluster begins by a fork, in which nothing of JAX's is used.
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork", "ignore::ResourceWarning")
@@ -57,7 +58,7 @@ def _assert_equal(out, whole):
 def shards(tmp_path_factory):
     folder = tmp_path_factory.mktemp("shards")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(seed_sweep, "draw", lambda _: [])  # What is merged is drawn.
+        patch.setattr(run_sweep, "draw", lambda _: [])  # What is merged is drawn.
         for number in range(1, 5):
             assert _sweep(folder / str(number), "--shard", f"{number}/4") == 0
     return [folder / str(number) for number in range(1, 5)]
