@@ -16,7 +16,14 @@ def make_saved(ticks, new, key=SAVED_KEY):
     columns = {name: np.asarray(values).tolist() for name, values in make_episodes().items()}
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
     facts = dataclasses.asdict(key) | {"ticks": ticks, "env_steps": ticks, "updates": 0}
-    facts |= {"seconds": 1.5, "begun": True, "diverged": None, "recordings": {}, "episodes": rows}
+    facts |= {
+        "seconds": 1.5,
+        "begun": True,
+        "diverged": None,
+        "recordings": {},
+        "episodes": rows,
+        "diagnostics": [],
+    }
     return SavedRun(
         facts=facts,
         train=np.arange(3, dtype=np.uint32),

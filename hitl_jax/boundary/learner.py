@@ -7,6 +7,7 @@ from typing import Any
 import chex
 import jax
 import jax.numpy as jnp
+import optax
 
 from hitl_jax.boundary.losses import boundary_actor_loss, boundary_critic_loss
 from hitl_jax.learner import adam, networks
@@ -74,6 +75,7 @@ class BoundaryLearner:
         critic, critic_optimizer = adam.descend(
             state.critic, grads, state.critic_optimizer, hyper.boundary_critic_learning_rate
         )
+        metrics = metrics | {"boundary_critic_gradient_norm": optax.tree.norm(grads)}
         grads, actor_metrics = jax.grad(boundary_actor_loss, has_aux=True)(
             state.actor,
             functools.partial(self.boundary, hyper),
@@ -90,4 +92,5 @@ class BoundaryLearner:
             actor_optimizer=actor_optimizer,
             critic_optimizer=critic_optimizer,
         )
-        return after, metrics | actor_metrics
+        metrics = metrics | actor_metrics | {"boundary_actor_gradient_norm": optax.tree.norm(grads)}
+        return after, metrics

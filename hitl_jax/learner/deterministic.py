@@ -140,6 +140,7 @@ class DeterministicActorCritic:
             state.critic, grads, state.critic_optimizer, hyper.critic_learning_rate
         )
         state = dataclasses.replace(state, critic=critic, critic_optimizer=critic_optimizer)
+        metrics = metrics | {"critic_gradient_norm": optax.tree.norm(grads)}
         if not last:
             return state, metrics
         grads, actor_metrics = jax.grad(losses.actor_loss, has_aux=True)(
@@ -156,4 +157,4 @@ class DeterministicActorCritic:
             target_actor=optax.incremental_update(actor, state.target_actor, step),
             target_critic=optax.incremental_update(critic, state.target_critic, step),
         )
-        return state, metrics | actor_metrics
+        return state, metrics | actor_metrics | {"actor_gradient_norm": optax.tree.norm(grads)}

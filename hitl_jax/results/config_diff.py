@@ -76,6 +76,8 @@ def without_later(section: dict[str, Any], choices: dict[str, Any]) -> dict[str,
 def require_same(path: pathlib.Path, has: dict[str, Any], asked: dict[str, Any]) -> None:
     """Makes sure that a folder was made with what is asked for.
 
+    A choice that came later, and that one of them lacks, is taken as its default.
+
     Args:
         path: the folder.
         has: what it was made with, a nested dict of what JSON can hold.
@@ -84,7 +86,7 @@ def require_same(path: pathlib.Path, has: dict[str, Any], asked: dict[str, Any])
     Raises:
         ConfigMismatch: naming the first differences.
     """
-    old, new, nothing = flatten(has), flatten(asked), object()
+    old, new, nothing = flatten(completed(has)), flatten(completed(asked)), object()
     keys = [k for k in old | new if old.get(k, nothing) != new.get(k, nothing)]
     if not keys:
         return

@@ -9,6 +9,7 @@
     OUT/runs/<method>/seed-0003/progress.csv test episodes at earlier points of training
     OUT/runs/<method>/seed-0003/params.npz   the final parameters
     OUT/runs/<method>/seed-0003/episodes.npz recorded training episodes, to replay
+    OUT/runs/<method>/seed-0003/diagnostics.csv losses, values and gradients, now and then
     OUT/partial/<method>-seed-0003.csv       training episodes of a run still under way
     OUT/under_way/                           saved runs under way (`training.saved_run_store`)
     OUT/summary.csv, OUT/summary.md, OUT/figures/, OUT/replays/
@@ -22,7 +23,7 @@ import json
 import os
 import pathlib
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -56,6 +57,7 @@ from hitl_jax.results.recorded_episodes import Recording
 from hitl_jax.results.run_files import (
     RUN_FILES,
     Run,
+    read_diagnostics,
     read_file,
     read_info,
     read_table,
@@ -160,6 +162,7 @@ class ResultsFolder:
         info: dict[str, Any],
         progress: dict[str, Any] | None = None,
         recordings: Mapping[str, Recording] | None = None,
+        diagnostics: Sequence[Mapping[str, Any]] = (),
     ) -> None:
         """Writes a finished run, whole or not at all.
 
@@ -172,6 +175,7 @@ class ResultsFolder:
                 a number of the run became non-finite, if one did.
             progress: test episodes at earlier points of training, columns `PROGRESS_COLUMNS`.
             recordings: recorded training episodes, by name.
+            diagnostics: samples of its learners, a row each; see `diagnostic_table`.
 
         Raises:
             ResultsError: if the run exists already, or cannot be written.
@@ -181,7 +185,9 @@ class ResultsFolder:
         self._require_exists()
         if final.exists():
             raise ResultsError(f"{final}: this run is finished already")
-        contents = run_contents(key, episodes, tests, params, info, progress, recordings)
+        contents = run_contents(
+            key, episodes, tests, params, info, progress, recordings, diagnostics
+        )
         write_folder_atomic(final, contents)
 
     def copy_run(self, source: "ResultsFolder", key: RunKey) -> None:
@@ -247,6 +253,7 @@ class ResultsFolder:
             read_table(path, info, "episodes.csv", EPISODE_COLUMNS),
             read_table(path, info, "test.csv", TEST_COLUMNS),
             read_table(path, info, "progress.csv", PROGRESS_COLUMNS),
+            read_diagnostics(path, info),
         )
         with named_errors(path):
             require_whole(run)

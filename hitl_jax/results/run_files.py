@@ -6,13 +6,15 @@ whole runs with the functions here. Nothing here imports JAX.
 
 import dataclasses
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from hitl_jax.errors import ResultsError
 from hitl_jax.results.atomic_files import named_errors, read_bytes
+from hitl_jax.results.diagnostic_table import FILE as DIAGNOSTICS
+from hitl_jax.results.diagnostic_table import diagnostics_from_csv, diagnostics_to_csv
 from hitl_jax.results.episode_tables import (
     EPISODE_COLUMNS,
     MODES,
@@ -32,9 +34,9 @@ from hitl_jax.results.schemas import KnownConfig, RunDocument
 RUN_INFO = ("config", "versions", "commit", "wall_seconds", "env_steps", "updates")
 """The entries of run.json that the caller of `ResultsFolder.save_run` must give."""
 
-RUN_FILES = ("episodes.csv", "test.csv", "progress.csv", "params.npz", "episodes.npz")
+RUN_FILES = ("episodes.csv", "test.csv", "progress.csv", "params.npz", "episodes.npz", DIAGNOSTICS)
 """The files of a run beside run.json, which has the digest of each."""
-_OPTIONAL_FILES = ("progress.csv", "episodes.npz")
+_OPTIONAL_FILES = ("progress.csv", "episodes.npz", DIAGNOSTICS)
 """Earlier versions of this program wrote runs without these."""
 
 _NO_PROGRESS: dict[str, Any] = {name: [] for name in PROGRESS_COLUMNS}
@@ -51,6 +53,8 @@ class Run:
         tests: test episodes, columns `TEST_COLUMNS`, each [N].
         progress: test episodes at earlier points of training, columns `PROGRESS_COLUMNS`; empty if
             the run was made without them.
+        diagnostics: samples of the run's learners, see `diagnostic_table`; no columns if the run
+            was made without them.
     """
 
     key: RunKey
@@ -60,6 +64,7 @@ class Run:
     progress: Table = dataclasses.field(
         default_factory=lambda: to_table(_NO_PROGRESS, PROGRESS_COLUMNS)
     )
+    diagnostics: Table = dataclasses.field(default_factory=dict)
 
     @property
     def diverged(self) -> bool:
@@ -86,6 +91,7 @@ def run_contents(
     info: dict[str, Any],
     progress: dict[str, Any] | None,
     recordings: Mapping[str, Recording] | None,
+    diagnostics: Sequence[Mapping[str, Any]],
 ) -> dict[str, bytes]:
     """The files of a run, bytes by name; the arguments are those of `ResultsFolder.save_run`.
 
@@ -111,6 +117,7 @@ def run_contents(
         "progress.csv": table_to_csv(to_table(progress or _NO_PROGRESS, PROGRESS_COLUMNS)).encode(),
         "params.npz": to_npz(params),
         "episodes.npz": to_npz(recorded, np.savez_compressed),
+        DIAGNOSTICS: diagnostics_to_csv(diagnostics).encode(),
     }
     files = {name: digest_of(data) for name, data in contents.items()}
     document = head | info | head | {"files": files}  # `info` cannot replace these.
@@ -155,6 +162,21 @@ def read_table(
         return to_table(_NO_PROGRESS, columns)
     with named_errors(path / name):
         return table_from_csv(data.decode(), columns)
+
+
+def read_diagnostics(path: pathlib.Path, info: dict[str, Any]) -> Table:
+    """Reads the samples of a run's learners; no columns if the run was made without them.
+
+    Args:
+        path: the run's folder.
+        info: its run.json.
+
+    Raises:
+        ResultsError: if the file is damaged.
+    """
+    data = read_file(path, info, DIAGNOSTICS)
+    with named_errors(path / DIAGNOSTICS):
+        return diagnostics_from_csv((data or b"").decode())
 
 
 def read_file(path: pathlib.Path, info: dict[str, Any], name: str) -> bytes | None:

@@ -245,6 +245,7 @@ class Sweep:
             info,
             to_columns(tested.progress, PROGRESS_COLUMNS),
             run.recordings,
+            run.diagnostics,
         )
         self._folder.remove_partial(key)
         self._display.finish(run)

@@ -19,9 +19,11 @@ import jax.numpy as jnp
 
 from hitl_jax.config import RunHyper
 from hitl_jax.learner import replay
+from hitl_jax.learner.losses import Metrics
 from hitl_jax.team import agent as agents
 from hitl_jax.team.acting import init_acting
 from hitl_jax.team.agent import Agent
+from hitl_jax.team.diagnostics import diagnose
 from hitl_jax.team.packed_decision import act_or_begin
 from hitl_jax.training.batch_arrays import (
     ActingBatch,
@@ -60,6 +62,7 @@ class Programs(NamedTuple):
             runs, one device after the other, leaves [A, ...].
         boundaries: acting to the carry of each run's boundary source, [A] or [A, K].
         unpack_train: (training states as words [R, P], slot) to that of the run in `slot`.
+        diagnose: (learner, slot) to what `team.diagnostics` measures of the run in `slot`.
         restore: (learner, slot, training state as words [P], the run's column of the ring [T, W],
             value of the cursor when the run began) to the learner with that run in `slot`; donates.
         restore_acting: (acting, slot, acting state as words [S]) to acting; donates.
@@ -76,6 +79,7 @@ class Programs(NamedTuple):
     unpack_behavior: Callable[..., Behavior]
     boundaries: Callable[[ActingBatch], chex.Array]
     unpack_train: Callable[..., TrainState]
+    diagnose: Callable[[LearnerBatch, int], Metrics]
     restore: Callable[..., LearnerBatch]
     restore_acting: Callable[..., ActingBatch]
     begin_ring: Callable[..., LearnerBatch]
@@ -104,6 +108,7 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         unpack_behavior=jax.jit(functools.partial(unpack_behavior, agent), keep_unused=True),
         boundaries=jax.jit(functools.partial(_boundaries, agent)),
         unpack_train=jax.jit(lambda words, slot: unpack(some_train(agent), words[slot])),
+        diagnose=jax.jit(functools.partial(_diagnose, agent)),
         restore=jax.jit(_restore, donate_argnums=0),
         restore_acting=jax.jit(_restore_acting, donate_argnums=0),
         begin_ring=jax.jit(_begin_ring, donate_argnums=0),
@@ -160,6 +165,12 @@ def _learn(
 def _boundaries(agent: Agent, acting: ActingBatch) -> chex.Array:
     like = some_acting(agent)
     return jax.vmap(lambda state: unpack(like, state).boundary)(acting.state)
+
+
+def _diagnose(agent: Agent, learner: LearnerBatch, slot: chex.Array) -> Metrics:
+    state = unpack(some_train(agent), learner.train[slot])
+    hyper = unpack(some_hyper(agent), learner.hyper[slot])
+    return diagnose(agent, hyper, state, learner.memory, slot)
 
 
 def _restore(

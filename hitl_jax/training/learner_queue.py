@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from hitl_jax.config import RunHyper
+from hitl_jax.learner.losses import Metrics
 from hitl_jax.team.agent import Agent
 from hitl_jax.training import batch_arrays, compiled_batch
 from hitl_jax.training.run_spec import LoopConfig
@@ -138,6 +139,15 @@ class LearnerQueue:
             )
             learned.append(after)
         self._learned.append(learned)
+
+    def diagnose(self, slot: int) -> Metrics:
+        """What a run's learners are at after the calls so far, see `team.diagnostics`; not awaited.
+
+        Args:
+            slot: of a run that has learned.
+        """
+        device, column = divmod(slot, self._share)
+        return self.programs.diagnose(self._batches[device], column)
 
     def wait(self) -> None:
         """Returns when the learner has nothing left to do."""

@@ -17,14 +17,19 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from hitl_jax.choices.checks import require
 from hitl_jax.config import typed
 from hitl_jax.envs import WalkerPool
+from hitl_jax.learner.losses import Metrics
 from hitl_jax.results import recorded_episodes
+from hitl_jax.results.diagnostic_table import COUNTERS
+from hitl_jax.results.episode_measures import Row
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.team.agent import Agent, behavior, require_extra
+from hitl_jax.team.diagnostics import EVERY
 from hitl_jax.team.warmup import may_learn
 from hitl_jax.training import batch_arrays
 from hitl_jax.training.compiled_batch import Programs
@@ -106,6 +111,7 @@ class Rollout:
         self._queue = deque(sorted(specs, key=lambda spec: spec.key not in self._saved))
         self._held: set[RunKey] = set()
         self._ahead: _Chunk | None = None
+        self._diagnosed: list[tuple[Run, Row, Metrics]] = []
         self._fill(self._learner.order())
 
     def __iter__(self) -> Iterator[list[FinishedRun]]:
@@ -138,7 +144,8 @@ class Rollout:
         return bool(self._queue) or not any(not run.done for run in self.runs())
 
     def collect(self, run: Run) -> FinishedRun:
-        """What a run has become so far; for a run that is seated."""
+        """What a run has become so far; for a run that has a slot."""
+        self._note_diagnostics()
         return FinishedRun(run, self._learner.train_of(run.slot), self._boundary_of(run))
 
     def save(self) -> list[SavedRun]:
@@ -148,6 +155,7 @@ class Rollout:
         are those since the runs were saved before.
         """
         self._catch_up()
+        self._note_diagnostics()
         train, learned = self._learner.save()
         acting = self._stage.words()
         recent = np.concatenate(self._recent, axis=1)
@@ -310,6 +318,18 @@ class Rollout:
                 slots.append(run.slot)
                 run.updates += self._learner.num_updates
         self._learner.learn(frames, slots)
+        for run in self.runs():
+            if run.slot in slots and run.updates % EVERY < self._learner.num_updates:
+                numbers = (run.updates, run.env_steps, len(run.episodes))
+                row: Row = dict(zip(COUNTERS, numbers, strict=True))
+                self._diagnosed.append((run, row, self._learner.diagnose(run.slot)))
+
+    def _note_diagnostics(self) -> None:
+        """Notes the samples of the learners that were begun; waits for them."""
+        for run, row, metrics in self._diagnosed:
+            measured = {name: float(value) for name, value in jax.device_get(metrics).items()}
+            run.diagnostics.append(row | measured)
+        self._diagnosed.clear()
 
 
 def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:

@@ -155,6 +155,7 @@ class Run:
         snapshots: those that are due so far.
         recordings: episodes to be played again, by name; see `hitl_jax.results.recorded_episodes`.
         diverged: where its numbers turned not finite, if they did.
+        diagnostics: a row for each sample of its learners; see `team.diagnostics`.
         started: when it would have begun, had it never been stopped, on the monotonic clock [s].
     """
 
@@ -168,6 +169,7 @@ class Run:
     snapshots: list[Snapshot] = dataclasses.field(default_factory=list)
     recordings: dict[str, Recording] = dataclasses.field(default_factory=dict)
     diverged: Divergence | None = None
+    diagnostics: list[Row] = dataclasses.field(default_factory=list)
     started: float = dataclasses.field(default_factory=time.monotonic)
 
     def all_episodes(self) -> list[Row]:

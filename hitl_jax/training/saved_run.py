@@ -111,6 +111,7 @@ def facts_of(run: Run, begun: bool) -> dict[str, Any]:
         "diverged": run.diverged,
         "recordings": recorded_episodes.index(run.recordings),
         "episodes": list(run.episodes),
+        "diagnostics": list(run.diagnostics),
     }
 
 
@@ -124,6 +125,7 @@ def restore_record(run: Run, saved: SavedRun, behaviors: Sequence[Behavior]) -> 
     """
     facts = saved.facts
     run.episodes = list(facts["episodes"])
+    run.diagnostics = list(facts["diagnostics"])
     run.ticks, run.env_steps, run.updates = (
         facts[name] for name in ("ticks", "env_steps", "updates")
     )

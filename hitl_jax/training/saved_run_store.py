@@ -29,8 +29,10 @@ from hitl_jax.results.atomic_files import (
     write_bytes_atomic,
 )
 from hitl_jax.results.config_diff import changes
+from hitl_jax.results.diagnostic_table import diagnostics_from_csv, diagnostics_to_csv
 from hitl_jax.results.episode_tables import (
     EPISODE_COLUMNS,
+    Table,
     table_from_csv,
     table_to_csv,
     to_columns,
@@ -46,6 +48,9 @@ from hitl_jax.training.saved_run import SavedRun
 
 FORMAT = 4
 """Of a save; another one's is refused. The order of the words of `packing` is part of it."""
+
+_TABLES = ("episodes", "diagnostics")
+"""Of a run's facts, as CSV; the others are in the head."""
 
 _DIGEST_SIZE = 16  # bytes
 _ARRAYS = tuple(name for name in SavedRun._fields if name not in ("facts", "frames"))
@@ -134,7 +139,9 @@ class Saves:
             arrays[f"{index}/episodes"] = _to_bytes(
                 table_to_csv(to_table(columns, EPISODE_COLUMNS))
             )
-            facts.append({name: value for name, value in run.facts.items() if name != "episodes"})
+            diagnostics = diagnostics_to_csv(run.facts["diagnostics"])
+            arrays[f"{index}/diagnostics"] = _to_bytes(diagnostics)
+            facts.append({name: run.facts[name] for name in run.facts if name not in _TABLES})
         head = {"format": FORMAT, "runs": facts, "frames": lengths}
         arrays["head"] = _to_bytes(json.dumps(head, allow_nan=False))
         _write(self._file("state", number), arrays)
@@ -181,10 +188,12 @@ class Saves:
             parts = {name: arrays[f"{index}/{name}"] for name in _ARRAYS}
             _require_forms(facts, parts)
             csv = _to_text(arrays[f"{index}/episodes"]).decode()
-            table = {k: v.tolist() for k, v in table_from_csv(csv, EPISODE_COLUMNS).items()}
-            rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
+            rows = _rows(table_from_csv(csv, EPISODE_COLUMNS))
             _require_rows(facts, rows)
-            saved = SavedRun(facts | {"episodes": rows}, frames=np.array([]), **parts)
+            # A save of a commit that took no samples has none.
+            csv = _to_text(arrays.get(f"{index}/diagnostics", _to_bytes(""))).decode()
+            tables = {"episodes": rows, "diagnostics": _rows(diagnostics_from_csv(csv))}
+            saved = SavedRun(facts | tables, frames=np.array([]), **parts)
             name = saved.key.file_name
             if saved.key in runs:
                 raise ValueError(f"{saved.key} is there twice")
@@ -267,6 +276,11 @@ def _reaching_back(lengths: Lengths, needed: dict[str, int]) -> Lengths:
         for name, length in lengths[number].items():
             needed[name] = needed.get(name, 0) - length
     return kept
+
+
+def _rows(table: Table) -> list[dict[str, Any]]:
+    columns = {name: values.tolist() for name, values in table.items()}
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def _write(path: pathlib.Path, arrays: dict[str, np.ndarray]) -> None:

@@ -56,7 +56,7 @@ def test_a_saved_run_is_read_back(folder):
 def test_pandas_and_numpy_read_the_files(folder):
     save(folder)
     path = folder.path / "runs/hitl-ac/seed-0003"
-    tables = {"episodes.csv", "test.csv", "progress.csv"}
+    tables = {"episodes.csv", "test.csv", "progress.csv", "diagnostics.csv"}
     assert everything_below(path) == {"run.json", "params.npz", "episodes.npz"} | tables
     frame = pd.read_csv(path / "episodes.csv")
     assert tuple(frame.columns) == EPISODE_COLUMNS
@@ -316,7 +316,8 @@ def test_a_file_of_another_run_is_refused(folder, name):
     steps = np.zeros((1, 9), np.float32)
     recordings = {"best": Recording(1, steps)}
     other = RunKey("srl", 0)
-    folder.save_run(other, columns, tests, params, make_info(), progress, recordings)
+    sample = {"updates": 1, "env_steps": 1, "episodes": 1, "q": 0.5}
+    folder.save_run(other, columns, tests, params, make_info(), progress, recordings, [sample])
     runs = folder.path / "runs"
     (runs / "hitl-ac/seed-0003" / name).write_bytes((runs / "srl/seed-0000" / name).read_bytes())
     with pytest.raises(ResultsError, match=f"{name}: damaged: is not the file that run.json names"):

@@ -1,0 +1,64 @@
+"""What a run's learners are at: losses, values and gradients on a sample of its replay.
+
+They are computed apart from the updates, by a program of their own: the numbers of the updates do
+not depend on whether anybody looks.
+"""
+
+import functools
+
+import chex
+import jax
+import jax.numpy as jnp
+
+from hitl_jax.config import RunHyper, traced
+from hitl_jax.learner import replay
+from hitl_jax.learner.losses import Metrics
+from hitl_jax.team.agent import Agent
+from hitl_jax.types import TrainState
+
+SAMPLE = 256
+"""Transitions of a sample. One in a thousand updates of 64 costs half a percent of them."""
+
+EVERY = 1000
+"""Updates of the task learner between two samples."""
+
+_FOLDED = 2**31 - 1
+"""What the run's key is folded with: no key that `learn` splits off it is made of this number."""
+
+
+def diagnose(
+    agent: Agent, hyper: RunHyper, state: TrainState, memory: replay.Replay, column: chex.Array
+) -> Metrics:
+    """Metrics of both learners on a sample of the replay; changes nothing.
+
+    Those of the boundary learner are NaN where no boundary is learned.
+
+    Args:
+        agent: the team.
+        hyper: the run's hyperparameters, scalars.
+        state: the run's training state; its key is not consumed.
+        memory: the replay.
+        column: the run's column, int32 [].
+
+    Returns:
+        What `improve` of the task learner and of the boundary learner measure, each [], and the
+        mean and standard deviation of π_θ(s) as `network_boundary` and `network_boundary_spread`.
+    """
+    hyper, learner = traced(agent.with_extra(hyper)), agent.learner
+    draw_key, noise_key, pool_key = jax.random.split(jax.random.fold_in(state.key, _FOLDED), 3)
+    drawn = replay.draw(
+        memory, agent.layout, column, draw_key, SAMPLE, agent.config.n_step, hyper.gamma
+    )
+    batch = replay.read(memory, agent.layout, column, drawn)
+    noise = jax.random.normal(noise_key, (SAMPLE, learner.noise_size), jnp.float32)
+    target = learner.targets(hyper, state.learner, batch, noise)
+    _, metrics = learner.improve(hyper, state.learner, batch, target, noise, True)
+    pool = replay.sample_boundary(memory, agent.layout, column, pool_key, SAMPLE, hyper.gamma)
+    _, of_boundary = agent.boundary_learner.improve(hyper, state.boundary, pool)
+    network = agent.boundary_learner.boundary(hyper, state.boundary.actor, pool.observation)
+    of_boundary |= {
+        "network_boundary": jnp.mean(network),
+        "network_boundary_spread": jnp.std(network),
+    }
+    known = functools.partial(jnp.where, hyper.learns_boundary > 0)
+    return metrics | {name: known(value, jnp.nan) for name, value in of_boundary.items()}
