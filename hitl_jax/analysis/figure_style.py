@@ -70,6 +70,14 @@ class Drawn(NamedTuple):
         """All of it, to be printed."""
         return [*map(str, self.paths), *self.no_data, *self.failures]
 
+    def with_(self, other: Drawn) -> Drawn:
+        """What was drawn here and there."""
+        return Drawn(
+            self.paths + other.paths,
+            self.no_data + other.no_data,
+            self.failures + other.failures,
+        )
+
 
 def attempt(
     drawings: Mapping[str, Callable[[], list[pathlib.Path] | None]], changes: Any = _STYLE

@@ -5,6 +5,7 @@ import pathlib
 
 import tyro
 
+from hitl_jax.analysis import diagnostic_figure
 from hitl_jax.analysis.figures import draw_all
 from hitl_jax.console.cli import BadInput, print_drawn, refusing
 from hitl_jax.results.atomic_files import remove_leftovers
@@ -17,9 +18,12 @@ class Options:
 
     Attributes:
         results: the folder that a sweep has written, finished or under way.
+        diagnostics: whether to draw `figure10_diagnostics` as well: losses, values and gradients
+            of the learners, of finished runs.
     """
 
     results: tyro.conf.Positional[pathlib.Path]
+    diagnostics: bool = False
 
 
 def main(options: Options) -> int:
@@ -38,6 +42,8 @@ def main(options: Options) -> int:
     remove_leftovers(options.results / "figures")  # Of a drawing that was killed.
     with refusing():
         drawn = draw_all(folder)
+        if options.diagnostics:
+            drawn = drawn.with_(diagnostic_figure.draw(folder))
     if not drawn.paths and not drawn.failures:
         raise BadInput(f"{options.results}: no episode has been saved yet")
     return print_drawn(drawn)

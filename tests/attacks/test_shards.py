@@ -14,6 +14,7 @@ from hitl_jax.console.cli import run_main
 from hitl_jax.results.episode_tables import EPISODE_COLUMNS
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.recorded_episodes import Recording
+from hitl_jax.results.run_files import RUN_FILES
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.sweep import recorded_human
 
@@ -92,7 +93,7 @@ def _folder(path):
     path.mkdir()
 
 
-_FILES = ("episodes.csv", "test.csv", "progress.csv", "params.npz", "episodes.npz", "run.json")
+_FILES = (*RUN_FILES, "run.json")
 _DAMAGES = (
     _cut,
     _cut_at_a_line,

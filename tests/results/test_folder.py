@@ -15,7 +15,7 @@ from hitl_jax.errors import ResultsError
 from hitl_jax.results import atomic_files, provenance
 from hitl_jax.results import folder as results
 from hitl_jax.results.atomic_files import write_text_atomic
-from hitl_jax.results.config_diff import ConfigMismatch
+from hitl_jax.results.config_diff import ConfigMismatch, completed
 from hitl_jax.results.episode_tables import EPISODE_COLUMNS, TEST_COLUMNS
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.recorded_episodes import Recording
@@ -172,10 +172,12 @@ def test_partial_episodes_are_replaced_and_give_way_to_the_run(folder):
 
 def test_the_same_config_resumes(folder):
     folder.create_or_resume(CONFIG, "another command")
-    assert folder.load_config() == {
+    written = json.loads((folder.path / "config.json").read_text())["config"]
+    assert written == {
         "agent": {"learner": "td3", "matmul_precision": "float32", "hidden_sizes": [128, 128]},
         "hyper": {"gamma": 0.98},
     }
+    assert folder.load_config() == completed(written)  # With the defaults of later choices.
     assert "hitl-jax sweep" in (folder.path / "config.json").read_text()
 
 
