@@ -172,9 +172,12 @@ def test_partial_episodes_are_replaced_and_give_way_to_the_run(folder):
 
 def test_the_same_config_resumes(folder):
     folder.create_or_resume(CONFIG, "another command")
+    later = {"human_parts": ["delay", "mistakes", "lapses", "attention"]}
+    later |= {"human_actions": "scripted"}
+    learner = {"learner": "td3", "matmul_precision": "float32", "hidden_sizes": [128, 128]}
     assert folder.load_config() == {
-        "agent": {"learner": "td3", "matmul_precision": "float32", "hidden_sizes": [128, 128]},
-        "hyper": {"gamma": 0.98},
+        "agent": learner | later,
+        "hyper": {"gamma": 0.98, "extra": {}},
     }
     assert "hitl-jax sweep" in (folder.path / "config.json").read_text()
 
