@@ -50,8 +50,10 @@ def completed(config: dict[str, Any]) -> dict[str, Any]:
 def _with(section: dict[str, Any], choices: dict[str, Any]) -> dict[str, Any]:
     whole = dict(section)
     for name, value in choices.items():
-        has = whole.setdefault(name, value)
-        if value and isinstance(value, dict) and isinstance(has, dict):
+        has = section.get(name)
+        if not (value and isinstance(value, dict)):
+            whole.setdefault(name, value)
+        elif isinstance(has, dict):
             whole[name] = _with(has, value)
     return whole
 

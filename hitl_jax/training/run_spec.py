@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hitl_jax.choices.checks import MOST_SEED, one_of, require_whole
-from hitl_jax.choices.fields import number, require_fields, whole
+from hitl_jax.choices.fields import checked_by, number, require_fields, whole
 from hitl_jax.config import Method, RunHyper, validate_hyper
 from hitl_jax.errors import InvalidValue
 from hitl_jax.human import UNLIMITED
@@ -23,6 +23,10 @@ _MOST_FRAMES = 2**30
 _MOST_UPDATES = 1000.0
 
 
+def _with_chunk(name: str, value: int) -> None:
+    """A capacity's least value depends on the chunk: `LoopConfig` checks it when it has both."""
+
+
 @dataclasses.dataclass(frozen=True)
 class LoopConfig:
     """How much a run plays and learns.
@@ -34,14 +38,14 @@ class LoopConfig:
         updates_per_step: updates of the task learner per tick.
     """
 
-    capacity: int = whole(200_000, 2, _MOST_FRAMES)
+    capacity: int = checked_by(200_000, _with_chunk)
     chunk: int = whole(16, 1, _MOST_FRAMES // 2)
     updates_per_step: float = number(0.5, 0.0, _MOST_UPDATES)
 
     def __post_init__(self) -> None:
         """Checks every number; InvalidValue names it, its value and what is allowed."""
         require_fields(self)
-        require_whole("capacity", self.capacity, at_least=2 * self.chunk)
+        require_whole("capacity", self.capacity, at_least=2 * self.chunk, at_most=_MOST_FRAMES)
 
     @property
     def frames(self) -> int:
