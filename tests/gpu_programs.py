@@ -22,7 +22,7 @@ from hitl_jax.config import AgentConfig
 from hitl_jax.envs import jax_pool
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training import batch_arrays, compiled_batch, device_stage
-from hitl_jax.training.device_ticks import Moment
+from hitl_jax.training.device_ticks import ChunkStart
 from hitl_jax.walker import gpu
 
 _RUNS, _LANES, _TICKS = 1002, 1008, 16
@@ -83,7 +83,7 @@ def _programs(device):
     programs = compiled_batch.make_programs(agent, 1, 1)
     packed = jax.eval_shape(lambda a: programs.pack_behavior(a).rows, _train(agent))
     behavior = like(jax.eval_shape(programs.unpack_behavior, [packed]))
-    begin = Moment(
+    begin = ChunkStart(
         active=of((_LANES,), jnp.bool_),
         needs_reset=of((_LANES,), jnp.bool_),
         left=of((_LANES,), jnp.int32),

@@ -9,7 +9,8 @@ import numpy as np
 
 from hitl_jax.analysis import stats
 from hitl_jax.envs import Command, WalkerPool, make_pool
-from hitl_jax.evaluation.host import HostExaminer, evaluate_policies
+from hitl_jax.evaluation.host import HostExaminer, play_trial
+from hitl_jax.evaluation.trials import Trial
 from hitl_jax.human import actions
 from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
 from hitl_jax.results.episode_measures import Row
@@ -71,12 +72,14 @@ def measure_trained(
         away = HERE if home == THERE else THERE
         keys = able_to_play(folder, say)
         with make_pool(home, episodes) as known, make_pool(away, episodes) as strange:
-            evaluators = HostExaminer(agent, known), HostExaminer(agent, strange)
+            examiners = HostExaminer(agent, known), HostExaminer(agent, strange)
             for key in keys[:: max(len(keys) // runs, 1)][:runs]:
                 spec, snapshot = load_trained(agent, folder, key)
                 means = []
-                for evaluator in evaluators:
-                    tests = evaluate_policies(evaluator, "autonomous", spec, [snapshot])
+                for examiner in examiners:
+                    tests = play_trial(
+                        examiner, Trial("autonomous", spec, [snapshot], examiner.num_episodes)
+                    )
                     means.append(np.mean([row["return"] for row in tests]))
                 rows.append(
                     {

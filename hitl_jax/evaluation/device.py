@@ -20,7 +20,7 @@ from hitl_jax.team import packed_decision
 from hitl_jax.team.acting import ActingState
 from hitl_jax.team.agent import Agent
 from hitl_jax.training import device_ticks
-from hitl_jax.training.device_ticks import Moment, begins_with
+from hitl_jax.training.device_ticks import ChunkStart, begins_with
 from hitl_jax.training.stage import Slots
 from hitl_jax.training.step_booking import end_of_step, episode_of, write_answer
 from hitl_jax.types import Behavior
@@ -267,10 +267,10 @@ def _play(
     policies: _Policy,
     states: ActingState,
     walkers: chex.ArrayTree,
-    begin: Moment,
+    begin: ChunkStart,
     seeds: chex.Array,
     first_left: chex.Array,
-) -> tuple[ActingState, chex.ArrayTree, Moment, tuple[chex.Array, ...]]:
+) -> tuple[ActingState, chex.ArrayTree, ChunkStart, tuple[chex.Array, ...]]:
     """A chunk of ticks of L walkers in G groups; see `device_ticks.play`."""
     step = functools.partial(packed_decision.act_or_begin, agent)
     group = jax.vmap(step, in_axes=(None, None, 0, 0, 0))

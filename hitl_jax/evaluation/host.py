@@ -24,10 +24,6 @@ from hitl_jax.results.episode_measures import Row, lost_test, row_of
 from hitl_jax.team import packed_decision
 from hitl_jax.team.acting import ActingState
 from hitl_jax.team.agent import Agent
-from hitl_jax.training.run_spec import (
-    RunSpec,
-    Snapshot,
-)
 from hitl_jax.training.step_booking import end_of_step, episode_of, finite_decision, write_answer
 from hitl_jax.types import Behavior
 from hitl_jax.xla import full_registers
@@ -61,10 +57,7 @@ class HostExaminer:
 
     def play(self, trials: Sequence[Trial], between: Callable[[], None]) -> list[list[Row]]:
         """See `Examiner`."""
-        return [
-            evaluate_policies(self, t.mode, t.spec, t.policies, lambda *_: between())
-            for t in trials
-        ]
+        return [play_trial(self, trial, lambda *_: between()) for trial in trials]
 
     def evaluate(
         self,
@@ -220,28 +213,20 @@ def _act(
     return everything(hyper, params, state, observation, live)
 
 
-def evaluate_policies(
-    evaluator: HostExaminer,
-    mode: Mode,
-    spec: RunSpec,
-    policies: Sequence[Snapshot],
-    watch: Watch | None = None,
-) -> list[Row]:
-    """One test of some of a run's policies, each on the same terrains.
+def play_trial(examiner: HostExaminer, trial: Trial, watch: Watch | None = None) -> list[Row]:
+    """Plays a test of some of a run's policies, each on the same terrains.
 
     Args:
-        evaluator: its walkers are shared out among the policies.
-        mode: `autonomous` or `assisted`.
-        spec: the run.
-        policies: at most as many as walkers.
+        examiner: has a walker for each policy and episode.
+        trial: the test.
         watch: sees every step.
 
     Returns:
-        A row for each policy and episode.
+        A row for each policy and episode, policy after policy.
     """
-    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *policies)
-    seeds = terrain_seeds(spec, evaluator.num_episodes // len(policies))
-    everywhere = np.tile(seeds, (len(policies), 1))
-    return evaluator.evaluate(
-        mode, spec.hyper, stacked.behavior, stacked.boundary, trial_key(spec), everywhere, watch
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *trial.policies)
+    seeds = np.tile(terrain_seeds(trial.spec, trial.episodes), (len(trial.policies), 1))
+    key = trial_key(trial.spec)
+    return examiner.evaluate(
+        trial.mode, trial.spec.hyper, stacked.behavior, stacked.boundary, key, seeds, watch
     )

@@ -13,7 +13,8 @@ from hitl_jax.analysis import alarm_figures
 from hitl_jax.analysis.alarms import AlarmCounts, count_alarms, total
 from hitl_jax.envs import make_pool
 from hitl_jax.errors import ResultsError
-from hitl_jax.evaluation.host import HostExaminer, evaluate_policies
+from hitl_jax.evaluation.host import HostExaminer, play_trial
+from hitl_jax.evaluation.trials import Trial
 from hitl_jax.playback.episodes import playing_backend
 from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
 from hitl_jax.results.atomic_files import write_text_atomic
@@ -68,7 +69,7 @@ def _count(
         observation = decided[:, agent.layout.observation]
         sizes.append(np.abs(np.asarray(indicator(observation))))
 
-    rows = evaluate_policies(examiner, "autonomous", spec, [end], watch)
+    rows = play_trial(examiner, Trial("autonomous", spec, [end], examiner.num_episodes), watch)
     played = np.array(sizes)
     return total(
         [

@@ -9,7 +9,8 @@ from hitl_jax.analysis.boundary_map import Cells
 from hitl_jax.config import Method
 from hitl_jax.envs import make_pool
 from hitl_jax.errors import ResultsError
-from hitl_jax.evaluation.host import HostExaminer, evaluate_policies
+from hitl_jax.evaluation.host import HostExaminer, play_trial
+from hitl_jax.evaluation.trials import Trial
 from hitl_jax.playback.episodes import playing_backend
 from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
 from hitl_jax.results.folder import ResultsFolder
@@ -62,5 +63,5 @@ def _visits(agent: Agent, examiner: HostExaminer, folder: ResultsFolder, key: Ru
         boundary = decided[active, layout.boundary]
         visited.append(np.column_stack([angle, velocity * _VELOCITY_UNIT, boundary]))
 
-    evaluate_policies(examiner, "autonomous", spec, [end], watch)
+    play_trial(examiner, Trial("autonomous", spec, [end], examiner.num_episodes), watch)
     return np.concatenate(visited)

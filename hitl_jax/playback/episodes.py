@@ -9,8 +9,8 @@ from hitl_jax.choices.registry import is_imported
 from hitl_jax.envs import WalkerPool, require_backend
 from hitl_jax.envs.episode_log import playback
 from hitl_jax.errors import ResultsError
-from hitl_jax.evaluation.host import HostExaminer, evaluate_policies
-from hitl_jax.evaluation.trials import Mode
+from hitl_jax.evaluation.host import HostExaminer, play_trial
+from hitl_jax.evaluation.trials import Mode, Trial
 from hitl_jax.playback.load_trained import load_trained
 from hitl_jax.results.config_diff import changes
 from hitl_jax.results.episode_measures import Row
@@ -60,13 +60,13 @@ def returns_of(
 
 
 def play_tests(
-    agent: Agent, evaluator: HostExaminer, folder: ResultsFolder, key: RunKey, mode: Mode
+    agent: Agent, examiner: HostExaminer, folder: ResultsFolder, key: RunKey, mode: Mode
 ) -> list[PlayedTest]:
     """Plays a run's tests once more, from its parameters.
 
     Args:
         agent: the team.
-        evaluator: with as many walkers as the tests had episodes.
+        examiner: with as many walkers as the tests had episodes.
         folder: the results.
         key: the run.
         mode: which tests.
@@ -81,7 +81,7 @@ def play_tests(
         del active  # the rows tell how long each episode was
         seen.append(recorded_steps(decided, agent.layout, spec.hyper))
 
-    rows = evaluate_policies(evaluator, mode, spec, [end], watch)
+    rows = play_trial(examiner, Trial(mode, spec, [end], examiner.num_episodes), watch)
     steps = np.stack(seen, axis=1)
     return [
         PlayedTest(

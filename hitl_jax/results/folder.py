@@ -11,15 +11,13 @@
     OUT/runs/<method>/seed-0003/episodes.npz recorded training episodes, to replay
     OUT/runs/<method>/seed-0003/diagnostics.csv losses, values and gradients, now and then
     OUT/partial/<method>-seed-0003.csv       training episodes of a run still under way
-    OUT/under_way/                           saved runs under way (`training.saved_run_store`)
+    OUT/under_way/                           saved runs (`training.saved_run_store`)
     OUT/summary.csv, OUT/summary.md, OUT/figures/, OUT/replays/
 
-Everything is written atomically (`atomic_files`): a file or a run that exists is whole, even if the
-process was killed. A folder has one writer at a time (`atomic_files.locked`) and any number of
-readers. `run_files` has the files of one run. Nothing here imports JAX.
+Everything is written atomically (`atomic_files`): a file or a run that exists is whole. A folder has
+one writer at a time (`atomic_files.locked`). `run_files` reads the files of one run.
 """
 
-import json
 import os
 import pathlib
 import tempfile
@@ -50,7 +48,13 @@ from hitl_jax.results.episode_tables import (
     table_to_csv,
     to_table,
 )
-from hitl_jax.results.json_documents import LARGEST_JSON, checked, from_json, to_json
+from hitl_jax.results.json_documents import (
+    LARGEST_JSON,
+    as_in_json,
+    checked,
+    from_json,
+    to_json,
+)
 from hitl_jax.results.npz_archives import from_npz
 from hitl_jax.results.provenance import git_commit, versions
 from hitl_jax.results.recorded_episodes import Recording
@@ -100,7 +104,7 @@ class ResultsFolder:
             ConfigMismatch: if the folder was made with another config, or for another shard.
             ResultsError: if the folder holds something else, or cannot be written.
         """
-        config = _as_in_json(config)
+        config = as_in_json(config)
         provenance = {"versions": versions(), "commit": git_commit()}
         if self.path.exists() and not self.path.is_dir():
             raise ResultsError(f"{self.path}: is a file, not a folder")
@@ -345,13 +349,3 @@ class ResultsFolder:
 
     def _partial_path(self, key: RunKey) -> pathlib.Path:
         return self.path / "partial" / f"{key.file_name}.csv"
-
-
-def _as_in_json(config: dict[str, Any]) -> dict[str, Any]:
-    """A config as JSON gives it back: lists for tuples, Python's numbers for NumPy's.
-
-    Raises:
-        ValueError: if JSON cannot hold it.
-    """
-    plain: dict[str, Any] = json.loads(to_json({"config": config}))["config"]
-    return plain

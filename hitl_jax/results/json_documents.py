@@ -151,3 +151,13 @@ def _digest(document: dict[str, Any]) -> str:
 def digest_of(data: bytes) -> str:
     """SHA-256, with the name of it before it."""
     return "sha256:" + hashlib.sha256(data).hexdigest()
+
+
+def as_in_json(config: dict[str, Any]) -> dict[str, Any]:
+    """A config as JSON gives it back: lists for tuples, Python's numbers for NumPy's.
+
+    Raises:
+        ValueError: if JSON cannot hold it.
+    """
+    plain: dict[str, Any] = json.loads(to_json({"config": config}))["config"]
+    return plain

@@ -28,7 +28,7 @@ from hitl_jax.sweep.background_figures import BackgroundFigures, draw
 from hitl_jax.sweep.launchers import Launcher
 from hitl_jax.sweep.options import SweepOptions
 from hitl_jax.sweep.signals import Interrupted
-from hitl_jax.sweep.train_and_test import Batch, Plant, Tested, make_team, policy_digest
+from hitl_jax.sweep.train_and_test import Batch, Tested, Walkers, make_team, policy_digest
 from hitl_jax.team import checkpoint
 from hitl_jax.team.agent import Agent, validate
 from hitl_jax.training.run_spec import Run
@@ -157,10 +157,10 @@ class Sweep:
         finished = self._folder.finished()
         specs = [spec for spec in options.specs() if spec.key not in finished]
         assert options.backend is not None
-        plant = Plant(
+        walkers = Walkers(
             options.backend, options.slots, options.workers, options.scale().test_episodes
         )
-        self._batch = Batch("under_way", agent, specs, options.loop, plant)
+        self._batch = Batch("under_way", agent, specs, options.loop, walkers)
         self._running: Sequence[Run] = []
         self._drawing = BackgroundFigures(self._folder.path, self._save_partial)
         self._display = display

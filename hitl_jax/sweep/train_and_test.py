@@ -27,8 +27,8 @@ from hitl_jax.training.saved_run import SavedRun
 from hitl_jax.xla.cores import num_cores
 
 
-class Plant(NamedTuple):
-    """What plays: walkers, by backend.
+class Walkers(NamedTuple):
+    """What walkers a batch plays and tests on.
 
     Attributes:
         backend: one of `hitl_jax.envs.BACKENDS`.
@@ -92,19 +92,19 @@ class Batch(NamedTuple):
         agent: the team.
         specs: the runs.
         loop: how much they play and learn.
-        plant: the walkers.
+        walkers: the walkers.
     """
 
     name: str
     agent: Agent
     specs: Sequence[RunSpec]
     loop: LoopConfig
-    plant: Plant
+    walkers: Walkers
 
     @property
     def slots(self) -> int:
         """Runs at a time, on this machine."""
-        return num_slots(len(self.specs), self.plant.slots)
+        return num_slots(len(self.specs), self.walkers.slots)
 
 
 class Tested(NamedTuple):
@@ -151,20 +151,20 @@ def train_and_test(
             ended; the rollout that `watch` has seen can be saved.
         KeyboardInterrupt: after a second Ctrl-C, at once.
     """
-    _, agent, specs, loop, plant = batch
+    _, agent, specs, loop, walkers = batch
     machine, commit = f"{processor()}, {num_cores()} cores", git_commit() or "unknown"
-    cores = plant.workers or num_cores()
-    test_walkers = num_test_walkers(plant.backend, plant.test_episodes, len(specs), cores)
+    cores = walkers.workers or num_cores()
+    test_walkers = num_test_walkers(walkers.backend, walkers.test_episodes, len(specs), cores)
 
-    def pool_of(phase: str, walkers: int) -> WalkerPool:
+    def pool_of(phase: str, count: int) -> WalkerPool:
         # For EnvPool, whose walkers cannot be seeded one by one: other runs, other seed.
         runs = (f"{spec.method}-{spec.seed}" for spec in specs)
         begun = sum(run.facts["ticks"] for run in (saved or {}).values())
         seed = episode_seed(phase, *runs, begun) >> 1
-        return make_pool(plant.backend, walkers, plant.workers, seed=seed)
+        return make_pool(walkers.backend, count, walkers.workers, seed=seed)
 
     with pool_of("train", batch.slots) as pool, pool_of("test", test_walkers) as test_pool:
-        examiner = make_examiner(agent, test_pool, plant.test_episodes)
+        examiner = make_examiner(agent, test_pool, walkers.test_episodes)
         rollout = Rollout(agent, specs, pool, loop, saved=saved)
         chunks = iter(rollout)
         first = next(chunks)  # Compiles; nothing is lost if it is interrupted.

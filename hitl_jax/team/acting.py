@@ -152,9 +152,7 @@ def act(
         dangerous=judged.dangerous,
         boundary=boundary_now,
         next_boundary=judged.following,
-        boundary_reward=boundary.boundary_reward(
-            judged.alarmed, judged.dangerous, hyper.alarm_reward
-        ),
+        boundary_reward=judged.reward,
     )
     after = agent.human.notify(human_state, hyper.human, ruling.began, ruling.control)
     state = ActingState(
@@ -179,6 +177,7 @@ class _Judged(NamedTuple):
         alarmed: C, bool [].
         dangerous: h_t = 0, bool [].
         following: τ_{t+1} of line 8, [].
+        reward: r'_t, [].
     """
 
     boundary: chex.Array
@@ -186,6 +185,7 @@ class _Judged(NamedTuple):
     alarmed: chex.Array
     dangerous: chex.Array
     following: chex.Array
+    reward: chex.Array
 
 
 def _judge(
@@ -195,11 +195,12 @@ def _judge(
     boundary_now: chex.Array,
     dangerous: chex.Array,
 ) -> _Judged:
-    """The alarm, and where line 8 moves the boundary."""
+    """The alarm, where line 8 moves the boundary, and the alarm's reward."""
     indicator = as_float32(agent.indicator(observation))
     alarmed = boundary.alarm(indicator, boundary_now) & (hyper.has_arbiter > 0)
     after = following(hyper, boundary_now, alarmed, dangerous)
-    return _Judged(boundary_now, indicator, alarmed, dangerous, after)
+    reward = boundary.boundary_reward(alarmed, dangerous, hyper.alarm_reward)
+    return _Judged(boundary_now, indicator, alarmed, dangerous, after, reward)
 
 
 def _rule(

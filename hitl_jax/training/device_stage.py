@@ -15,7 +15,7 @@ from hitl_jax.envs.jax_pool import Block, JaxPool
 from hitl_jax.team.agent import Agent
 from hitl_jax.training import batch_arrays, compiled_batch, device_ticks
 from hitl_jax.training.compiled_batch import Programs
-from hitl_jax.training.device_ticks import Moment, begins_with
+from hitl_jax.training.device_ticks import ChunkStart, begins_with
 from hitl_jax.training.stage import Slots, Tick
 from hitl_jax.types import Behavior
 from hitl_jax.walker import gpu
@@ -52,7 +52,7 @@ class DeviceStage:
             batch_arrays.empty_acting(agent, pool.lanes, block.device) for block in pool.blocks
         ]
         self._behavior: list[Behavior] = []
-        self._moments: list[Moment] = []
+        self._starts: list[ChunkStart] = []
         self._unbooked = 0
         self._boundaries: np.ndarray | None = None
         self._play = jax.jit(
@@ -72,7 +72,7 @@ class DeviceStage:
         if self._unbooked > 1:
             raise RuntimeError("no chunk can be begun while two are not booked")
         given = *begins_with(slots), finite
-        parts, boundaries, moments = [], [], []
+        parts, boundaries, starts = [], [], []
         for index, block in enumerate(self._pool.blocks):
             own = slice(block.start, block.stop)
             rows = jax.tree.map(
@@ -80,20 +80,20 @@ class DeviceStage:
             )
             begin, *others = jax.device_put(rows, block.device)
             acting, walkers = self._acting[index], self._pool.walkers[index]
-            state, self._pool.walkers[index], moment, ticks = self._play(
+            state, self._pool.walkers[index], start, ticks = self._play(
                 count,
                 acting.state,
                 acting.hyper,
                 walkers,
                 self._behavior[index],
-                self._moments[index] if self._unbooked else begin,
+                self._starts[index] if self._unbooked else begin,
                 *others,
             )
             self._acting[index] = acting._replace(state=state)
             parts.append(ticks)
             boundaries.append(self._programs.boundaries(self._acting[index]))
-            moments.append(moment)
-        self._moments = moments
+            starts.append(start)
+        self._starts = starts
         self._unbooked += 1
         return self._told(parts, boundaries)
 
@@ -172,11 +172,11 @@ def _play(
     hyper: chex.Array,
     walkers: chex.ArrayTree,
     behavior: Behavior,
-    begin: Moment,
+    begin: ChunkStart,
     seeds: chex.Array,
     first_left: chex.Array,
     finite: chex.Array,
-) -> tuple[chex.ArrayTree, chex.ArrayTree, Moment, tuple[chex.Array, ...]]:
+) -> tuple[chex.ArrayTree, chex.ArrayTree, ChunkStart, tuple[chex.Array, ...]]:
     """A chunk of ticks of runs on L lanes; see `device_ticks.play`.
 
     Args:

@@ -22,7 +22,7 @@ Act = Callable[[Any, chex.Array, chex.Array], tuple[Any, chex.Array]]
 what was decided, [L, W + 6]."""
 
 
-class Moment(NamedTuple):
+class ChunkStart(NamedTuple):
     """What L walkers begin a chunk with, or end it with; `Slots` says what its fields are."""
 
     active: chex.Array
@@ -31,10 +31,10 @@ class Moment(NamedTuple):
     observation: chex.Array
 
 
-def begins_with(slots: Slots) -> tuple[Moment, np.ndarray, np.ndarray]:
+def begins_with(slots: Slots) -> tuple[ChunkStart, np.ndarray, np.ndarray]:
     """What `play` is given where a chunk begins with what the host has booked: copies."""
     own = dataclasses.asdict(slots)
-    begin = Moment(*(own[name] for name in Moment._fields))
+    begin = ChunkStart(*(own[name] for name in ChunkStart._fields))
     return begin, own["seeds"], own["left"]
 
 
@@ -44,10 +44,10 @@ def play(
     count: int,
     state: chex.ArrayTree,
     walkers: chex.ArrayTree,
-    begin: Moment,
+    begin: ChunkStart,
     seeds: chex.Array,
     first_left: chex.Array,
-) -> tuple[chex.ArrayTree, chex.ArrayTree, Moment, tuple[chex.Array, ...]]:
+) -> tuple[chex.ArrayTree, chex.ArrayTree, ChunkStart, tuple[chex.Array, ...]]:
     """Ticks of L walkers.
 
     Ends episodes, begins the next ones and stops what is done or not finite, by the same rules as
@@ -88,7 +88,7 @@ def play(
         answer = StepBatch(**told)  # Of JAX's arrays.
         end = end_of_step(decided, answer, layout, live, begins)
         active, left = active & end.sound, left - end.ended
-        begin = Moment(active & (left > 0), end.ended, left, answer.observation)
+        begin = ChunkStart(active & (left > 0), end.ended, left, answer.observation)
         return (state, walkers, begin), (decided, live, *answer)
 
     carry, told = jax.lax.scan(one, (state, walkers, begin), None, length=count)

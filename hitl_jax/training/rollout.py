@@ -32,8 +32,6 @@ from hitl_jax.team.agent import Agent, behavior, require_extra
 from hitl_jax.team.diagnostics import EVERY
 from hitl_jax.team.warmup import may_learn
 from hitl_jax.training import batch_arrays
-from hitl_jax.training.compiled_batch import Programs
-from hitl_jax.training.host_stage import HostStage
 from hitl_jax.training.learner_queue import LearnerQueue
 from hitl_jax.training.run_spec import (
     FinishedRun,
@@ -52,7 +50,8 @@ from hitl_jax.training.saved_run import (
     require_shapes,
     restore_record,
 )
-from hitl_jax.training.stage import Stage, Tick
+from hitl_jax.training.stage import Tick
+from hitl_jax.training.stage_for_pool import make_stage
 from hitl_jax.training.tick_recorder import TickRecorder
 from hitl_jax.xla.devices import learning_devices
 
@@ -342,18 +341,3 @@ def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:
     devices = len(learning_devices())
     if pool.num_walkers % devices:
         raise ValueError(f"{pool.num_walkers} walkers do not divide over {devices} devices")
-
-
-def make_stage(agent: Agent, pool: WalkerPool, programs: Programs) -> Stage:
-    """The device's stage for walkers that are on one, else the host's.
-
-    Args:
-        agent: the team.
-        pool: the walkers.
-        programs: of the batch.
-    """
-    if hasattr(pool, "blocks"):  # Of a JaxPool.
-        from hitl_jax.training.device_stage import DeviceStage
-
-        return DeviceStage(agent, pool, programs)  # type: ignore[arg-type]
-    return HostStage(agent, pool, programs)

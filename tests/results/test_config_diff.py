@@ -14,7 +14,7 @@ from hitl_jax.results.run_key import RunKey
 from hitl_jax.sweep import autosave
 from hitl_jax.sweep.autosave import UnderWay
 from hitl_jax.sweep.launchers import local
-from hitl_jax.sweep.train_and_test import Batch, Plant
+from hitl_jax.sweep.train_and_test import Batch, Walkers
 from hitl_jax.training.run_spec import LoopConfig, RunSpec
 from hitl_jax.training.saved_run import CannotReturn
 from hitl_jax.training.saved_run_store import Saves
@@ -112,7 +112,7 @@ def test_a_run_that_cannot_go_on_names_the_versions(tmp_path, monkeypatch):
     Saves(tmp_path / "batch", 8).write([saved._replace(facts=facts)])
     monkeypatch.setattr(local, "train_and_test", refuse)
     spec = RunSpec(Method.HITL_AC, KEY.seed, hyper_for(Method.HITL_AC, Hyper()), episodes=1)
-    batch = Batch("batch", None, [spec], LoopConfig(), Plant("lean", 2, 1, 1))
+    batch = Batch("batch", None, [spec], LoopConfig(), Walkers("lean", 2, 1, 1))
     makes = local.Local(tmp_path, 60.0, lambda: (), lambda _: None)
     with pytest.raises(CannotReturn) as caught:
         next(makes.make([batch], lambda _: None))

@@ -12,7 +12,7 @@ from hitl_jax.sweep import shards, train_and_test
 from hitl_jax.sweep.launchers.cluster import Places, divided, places_of
 from hitl_jax.sweep.launchers.machine import Inbox
 from hitl_jax.sweep.shards import Shard
-from hitl_jax.sweep.train_and_test import Batch, Plant
+from hitl_jax.sweep.train_and_test import Batch, Walkers
 from hitl_jax.training.run_spec import FinishedRun, LoopConfig, Run, RunSpec
 
 
@@ -71,7 +71,7 @@ def test_a_cluster_without_cores_is_refused():
 def _batch(name, runs, slots=32):
     hyper = hyper_for(Method.SRL, Hyper())
     specs = [RunSpec(Method.SRL, seed, hyper, 1) for seed in range(runs)]
-    return Batch(name, None, specs, LoopConfig(), Plant("lean", slots, None, 1))
+    return Batch(name, None, specs, LoopConfig(), Walkers("lean", slots, None, 1))
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from hitl_jax.team import acting
 from hitl_jax.team import agent as agents
 from hitl_jax.team.packed_decision import act_or_begin
 from hitl_jax.training import batch_arrays, device_stage
-from hitl_jax.training.device_ticks import Moment
+from hitl_jax.training.device_ticks import ChunkStart
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import RunSpec
 from hitl_jax.types import Transition
@@ -130,7 +130,7 @@ def test_no_program_with_a_walker_has_wide_numbers(wide):
         )
     )
     left, yes = np.ones(16, np.int32), np.ones(16, bool)
-    begin = Moment(yes, yes, left, np.zeros((16, 24), np.float32))
+    begin = ChunkStart(yes, yes, left, np.zeros((16, 24), np.float32))
     others = begin, np.zeros((16, 5), np.uint32), left, yes
     play = functools.partial(device_stage._play, agent, 4)
     assert _wide_floats(play, some.state, some.hyper, walkers, params, *others) == []

@@ -16,7 +16,7 @@ from hitl_jax.studies.ablations.store import Row, RunId, Store, digest
 from hitl_jax.studies.changes import Parts, changed
 from hitl_jax.sweep.autosave import SAVE_SECONDS
 from hitl_jax.sweep.run_sweep import Display
-from hitl_jax.sweep.train_and_test import Batch, Plant, Tested, make_team
+from hitl_jax.sweep.train_and_test import Batch, Tested, Walkers, make_team
 from hitl_jax.training.run_spec import RunSpec
 
 _SLOTS = 32
@@ -106,8 +106,8 @@ def batch_of(group: Group, options: AblationOptions) -> Batch:
         for run, parts in sorted(group.missing.items(), key=lambda item: item[0].seed)
     ]
     agent = make_team(group.parts.agent, group.parts.human_policy)
-    plant = Plant(_BACKEND, _SLOTS, None, options.test_episodes)
-    return Batch(group.name, agent, specs, group.parts.loop, plant)
+    walkers = Walkers(_BACKEND, _SLOTS, None, options.test_episodes)
+    return Batch(group.name, agent, specs, group.parts.loop, walkers)
 
 
 def settings_of(ablation: Ablation) -> Iterator[tuple[Setting, Parts]]:

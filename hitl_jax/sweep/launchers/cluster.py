@@ -127,13 +127,13 @@ def divided(batches: Sequence[Batch], places: int) -> list[Batch]:
     """Batches in groups of about one size: as few rounds as their slots allow, no place empty.
 
     Args:
-        batches: each with `plant.slots` runs at a time at most.
+        batches: each with `walkers.slots` runs at a time at most.
         places: groups at a time.
     """
     runs = sum(len(batch.specs) for batch in batches)
     groups = []
     for batch in batches:
-        rounds = math.ceil(runs / (places * batch.plant.slots))
+        rounds = math.ceil(runs / (places * batch.walkers.slots))
         size = math.ceil(runs / (places * max(rounds, 1)))
         count = math.ceil(len(batch.specs) / max(size, 1))
         ends = [len(batch.specs) * number // max(count, 1) for number in range(count + 1)]

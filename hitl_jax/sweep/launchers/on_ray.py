@@ -168,4 +168,4 @@ def _ended(tasks: Collection[Any]) -> list[Any]:
 
 
 def _with_workers(batch: Batch, cpus: int) -> Batch:
-    return batch._replace(plant=batch.plant._replace(workers=batch.plant.workers or cpus))
+    return batch._replace(walkers=batch.walkers._replace(workers=batch.walkers.workers or cpus))
