@@ -37,13 +37,17 @@ _LONGEST = (
     "test_ablation",
     "test_live_session",
     "test_agent",
-    "test_batch",
+    "test_compiled_batch",
+    "test_extending",
 )
 
 
 @pytest.fixture(scope="module")
 def compiled_fully():
-    """For what depends on how numbers are rounded, as the size of a batch may; see above."""
+    """The programs that users run, here and in processes that are started.
+
+    For tests of what depends on how numbers are rounded: of equality to the last bit.
+    """
     import jax
 
     from hitl_jax.training import compiled_batch
@@ -52,6 +56,7 @@ def compiled_fully():
         compiled_batch.make_programs.cache_clear()
         jax.clear_caches()
         jax.config.update("jax_disable_most_optimizations", hastily)
+        os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(int(hastily))
 
     begin(False)
     yield

@@ -14,8 +14,7 @@
     OUT/under_way/                           saved runs (`training.saved_run_store`)
     OUT/summary.csv, OUT/summary.md, OUT/figures/, OUT/replays/
 
-Everything is written atomically (`atomic_files`): a file or a run that exists is whole. A folder has
-one writer at a time (`atomic_files.locked`). `run_files` reads the files of one run.
+Everything is written atomically (`atomic_files`), by one process at a time (`atomic_files.locked`).
 """
 
 import os

@@ -16,6 +16,8 @@ from hitl_jax.results.episode_tables import ENDS
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.run_key import RunKey
 
+pytestmark = pytest.mark.usefixtures("compiled_fully")
+
 _HERE = pathlib.Path(__file__).parent
 
 

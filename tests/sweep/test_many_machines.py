@@ -21,7 +21,10 @@ from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.sweep import run_sweep
 
 # A cluster begins by a fork, in which nothing of JAX's is used.
-pytestmark = pytest.mark.filterwarnings("ignore:os.fork", "ignore::ResourceWarning")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:os.fork", "ignore::ResourceWarning"),
+    pytest.mark.usefixtures("compiled_fully"),
+]
 
 _TABLES = ("episodes.csv", "test.csv", "progress.csv", "params.npz", "episodes.npz")
 _OPTIONS = [

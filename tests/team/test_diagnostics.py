@@ -15,6 +15,8 @@ from hitl_jax.training import rollout
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec
 
+pytestmark = pytest.mark.usefixtures("compiled_fully")
+
 _CONFIG = AgentConfig(
     learner="ddpg",
     hidden_sizes=(8,),

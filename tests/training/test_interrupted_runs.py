@@ -21,6 +21,8 @@ from hitl_jax.training.run_spec import LoopConfig, RunSpec, episode_seed
 from hitl_jax.training.saved_run import CannotReturn, bring_back
 from hitl_jax.training.saved_run_store import Saves
 
+pytestmark = pytest.mark.usefixtures("compiled_fully")
+
 _CONFIG = AgentConfig(learner="td3", hidden_sizes=(16, 16), batch_size=16, n_step=2)
 _HYPER = Hyper(warmup_steps=64, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
 _LOOP = LoopConfig(capacity=128, chunk=8)
