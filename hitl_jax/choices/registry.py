@@ -9,7 +9,9 @@ them until a team is made.
 import importlib
 import os
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping
+from types import ModuleType
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from hitl_jax.errors import InvalidValue, first_line
@@ -161,12 +163,27 @@ class Registry(Mapping[str, Entry], Generic[T]):
     def _imported(self, choice: str) -> Any:
         module, _, name = choice.partition(":")
         try:
-            return getattr(importlib.import_module(module), name)
+            return getattr(_import(module), name)
         except AttributeError as error:
             raise InvalidValue(self.option, choice, f"{module} has no {name}") from error
         except Exception as error:  # Whatever a module does when it is imported.
             why = f"{module} cannot be imported: {type(error).__name__}: {first_line(error)}"
             raise InvalidValue(self.option, choice, why) from error
+
+
+def _import(module: str) -> ModuleType:
+    """Imports a module that a user names, from the current folder too if it is nowhere else.
+
+    `hitl-jax` does not look there by itself: of a folder that somebody sent, no file must run.
+    """
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name != module.partition(".")[0] or os.getcwd() in sys.path:
+            raise
+        sys.path.append(os.getcwd())
+        importlib.invalidate_caches()
+        return importlib.import_module(module)
 
 
 def is_imported(choice: Any) -> bool:

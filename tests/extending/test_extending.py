@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import sys
 
 import jax
 import my_sac
@@ -227,3 +228,14 @@ def test_a_name_is_registered_once():
         with pytest.raises(ValueError, match="is registered already"):
             kinds.register(name, "again")
     assert kinds.make("one") is print and kinds.names == ("one",)
+
+
+def test_a_module_of_the_current_folder_is_found(tmp_path, monkeypatch):
+    """As the command `hitl-jax` starts: without the current folder in its path."""
+    (tmp_path / "my_indicator.py").write_text("def lean(observation):\n    return observation[0]\n")
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry not in ("", ".")])
+    monkeypatch.chdir(tmp_path)
+    config = AgentConfig(indicator="my_indicator:lean")
+    assert float(make_agent(config).indicator(np.arange(24.0))) == 0.0
+    with pytest.raises(InvalidValue, match="no_indicator cannot be imported"):
+        make_agent(AgentConfig(indicator="no_indicator:lean"))
