@@ -60,7 +60,7 @@ def draw(folder: ResultsFolder) -> Drawn:
     """
     path = folder.path / DATA
     with named_errors(path):
-        methods = _load(read_bytes(path).decode())
+        methods = load_counts(read_bytes(path).decode())
 
     def make() -> list[pathlib.Path] | None:
         figure = _figure(methods, folder)
@@ -69,7 +69,7 @@ def draw(folder: ResultsFolder) -> Drawn:
     return attempt({_NAME: make})
 
 
-def _load(text: str) -> dict[str, _Counts]:
+def load_counts(text: str) -> dict[str, _Counts]:
     """The counts of each method.
 
     Raises:

@@ -59,7 +59,7 @@ def measure_peers(seconds: float) -> list[Row]:
         ours = partial(_ours, width, batch_size)
         reference = f"SBX TD3 {learner}, {cores} processes"
         us = f"hitl_jax {learner}"
-        rows += _rows(
+        rows += compared(
             [
                 (f"SBX TD3 {learner}, one process", "sbx-rl", partial(sbx, 1, 1, False)),
                 (reference, "sbx-rl", partial(sbx, cores, 1, False)),
@@ -73,7 +73,7 @@ def measure_peers(seconds: float) -> list[Row]:
             5 * seconds,
             bar,
         )
-    rows += _rows(
+    rows += compared(
         [
             ("gymnasium, plain loop", "gymnasium", partial(plain_rate, 1, WALKERS)),
             (f"gymnasium AsyncVectorEnv of {VECTOR_WALKERS}", "gymnasium", _vector),
@@ -87,7 +87,7 @@ def measure_peers(seconds: float) -> list[Row]:
     return rows
 
 
-def _rows(ways: list[_Way], reference: str, seconds: float, bar: float) -> list[Row]:
+def compared(ways: list[_Way], reference: str, seconds: float, bar: float) -> list[Row]:
     """Measures `ways` in turns, medians; ours as multiples of `reference` and of the best other.
 
     A multiple is the median of those of the turns: a machine's speed changes from turn to turn.

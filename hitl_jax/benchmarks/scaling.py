@@ -83,10 +83,11 @@ def draw_scaling(rows: list[Row], path: str) -> list[str]:
     Returns:
         A line that says why it could not be drawn, if it could not.
     """
-    return attempt({path: lambda: _draw(rows, pathlib.Path(path))}, changes={}).failures
+    return attempt({path: lambda: draw_rows(rows, pathlib.Path(path))}, changes={}).failures
 
 
-def _draw(rows: list[Row], path: pathlib.Path) -> list[pathlib.Path]:
+def draw_rows(rows: list[Row], path: pathlib.Path) -> list[pathlib.Path]:
+    """Draws rates, memory and start-up over the number of runs; the file written."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.2, 4.8), layout="constrained")

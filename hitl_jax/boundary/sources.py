@@ -40,7 +40,7 @@ class Move(NamedTuple):
 
 
 class BoundarySource(NamedTuple):
-    """Where τ_t comes from: a reading of how line 6 and line 8 meet, or a rule to compare with.
+    """How τ_t is computed: from the network, from the value that line 8 moves, or by another rule.
 
     `carry` is an array that lasts over the episodes of a run.
 

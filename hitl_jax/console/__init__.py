@@ -1,1 +1,1 @@
-"""What a person at a terminal types and reads."""
+"""Parses command lines; prints tables and progress."""

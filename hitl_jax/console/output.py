@@ -1,4 +1,4 @@
-"""What a person reads: their own words as they wrote them, on any terminal."""
+"""Prints text as it is, in any encoding, also into a closed pipe."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ class Examiner(Protocol):
 
 
 def milestones(episodes: int) -> tuple[int, ...]:
-    """Numbers of training episodes at which a run is tested before its end: its fifths."""
+    """Numbers of training episodes at which a run is tested before its end: 1/5 to 4/5 of it."""
     points = (episodes * part // _PARTS for part in range(1, _PARTS))
     return tuple(sorted({point for point in points if point > 0}))
 
@@ -127,7 +127,7 @@ def evaluate_runs(
     played = iter(examiner.play(asked, between))
     at_end = [[row for _ in trials for row in next(played)] for trials in final]
     on_the_way = [
-        [row for trial in trials for row in _told(run.run, trial, next(played))]
+        [row for trial in trials for row in _with_trained(run.run, trial, next(played))]
         for run, trials in zip(runs, earlier, strict=True)
     ]
     return list(zip(at_end, on_the_way, strict=True))
@@ -148,14 +148,14 @@ def _earlier(run: Run, episodes: int) -> list[Trial]:
     return [Trial("autonomous", run.spec, group, episodes // len(group)) for group in groups]
 
 
-def _told(run: Run, trial: Trial, rows: Sequence[Row]) -> list[Row]:
-    """Rows of a test of snapshots, with what tells them apart."""
+def _with_trained(run: Run, trial: Trial, rows: Sequence[Row]) -> list[Row]:
+    """Rows of a test of snapshots, each with the training episodes before it as `trained`."""
     lost = run.diverged.episodes if run.diverged else run.spec.episodes
-    told = []
+    rows_of_all = []
     for number, row in enumerate(rows):
         trained = trial.policies[number // trial.episodes].episode
-        told.append({"trained": trained, **row} | (fall_at_once() if trained > lost else {}))
-    return told
+        rows_of_all.append({"trained": trained, **row} | (fall_at_once() if trained > lost else {}))
+    return rows_of_all
 
 
 def terrain_seeds(spec: RunSpec, episodes: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from hitl_jax.human.part import HumanPart, chain, unchanged, unmoved
 from hitl_jax.human.parts import ATTENTION, DELAY, HUMAN_PARTS, LAPSES, MISTAKES, delayed
 
 ALL_PARTS = (DELAY, MISTAKES, LAPSES, ATTENTION)
-"""What stands between danger and judgement by default, in the order in which it judges."""
+"""Parts that are applied to the danger model's judgement by default, in this order."""
 
 
 @functools.cache

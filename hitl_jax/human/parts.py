@@ -1,4 +1,4 @@
-"""Parts of a simulated human by name: what stands between danger and judgement.
+"""Parts of a simulated human by name, applied to the judgement of the danger model.
 
 To add one, write a `HumanPart` that passes on what it is told, and register it.
 """
@@ -97,7 +97,7 @@ class Attention:
     engaged: chex.Array
 
 
-@HUMAN_PARTS.register(ATTENTION, "has patience for so many interventions, and rests between them")
+@HUMAN_PARTS.register(ATTENTION, "at most so many interventions a run, and a rest between them")
 def attentive() -> HumanPart:
     """At most n interventions a run and a rest between them; a judgement withheld counts as safe.
 

@@ -1,8 +1,8 @@
-"""Flax modules: actor, stacked critics, and the boundary's pair.
+"""Flax modules: actor, stacked critics, and the boundary's actor and critic.
 
 Task networks take a `matmul_precision` (`hitl_jax.xla.dense_product`) for the products between
-hidden layers: four fifths of the default's arithmetic, nine tenths with 256 units. What is seen and
-what is said keep their digits.
+hidden layers: four fifths of the default's arithmetic, nine tenths with 256 units. The first
+layer and the output layer stay float32.
 """
 
 import functools

@@ -6,8 +6,8 @@ ends (terminated or truncated alike) the run spends one tick on the reset; that 
 `final`: it holds the true last observation, no step was taken from it and it is never drawn as the
 start of a transition.
 
-A frame is stored in two parts, what was seen and done and what came of it: an n-step transition
-needs the first of two frames and the second of n, and reading memory is what drawing costs.
+A frame is stored in two parts, `seen` (observation, action) and `outcome` (the others). An n-step
+transition reads `seen` of two frames and `outcome` of n, and reading memory is what drawing costs.
 
 Memory: capacity · R · width · 4 bytes, with width = O + A + 7. BipedalWalker has width 35: 200,000
 frames of one run take 28 MB, of thirty runs 840 MB. The pool D of Algorithm 1 is the same ring read

@@ -122,7 +122,7 @@ class Journal:
         text = json.dumps(line, separators=(",", ":")).encode()
         after = None
         if self._sum is not None:
-            after = _next_sum(self._sum, text)
+            after = next_sum(self._sum, text)
             text = text[:-1] + _SUM + after + b'"}'
         text += b"\n"
         size = os.fstat(self._file).st_size
@@ -149,7 +149,7 @@ def _sum_of(line: bytes) -> bytes | None:
     return end.removesuffix(b'"}') if mark else None
 
 
-def _next_sum(before: bytes, line: bytes) -> bytes:
+def next_sum(before: bytes, line: bytes) -> bytes:
     """The checksum of a line.
 
     Args:
@@ -244,7 +244,7 @@ def _line(text: bytes, before: bytes | None) -> tuple[Line, bytes | None]:
     """
     if before is not None:
         content, _, _ = text.rpartition(_SUM)
-        if _sum_of(text) != (after := _next_sum(before, content + b"}")):
+        if _sum_of(text) != (after := next_sum(before, content + b"}")):
             raise ValueError("its checksum is wrong")
         text, before = content + b"}", after
     line: Line = plain_from_json(text, dict[Text, Any])

@@ -25,7 +25,7 @@ class SessionSetup(NamedTuple):
         seed: of the run.
         with_person: whether a person judges.
         learns: whether it trains; otherwise a trained walker is tested.
-        start: networks to begin with, as `checkpoint.unflatten` gives them; None is from scratch.
+        start: networks to begin with, as `checkpoint.networks_of` gives them; None is from scratch.
             They act from the first step on, and learn after the warm-up.
     """
 

@@ -40,7 +40,7 @@ def agent_of(folder: ResultsFolder, human_policy: str | None = None) -> Agent:
     config = section_of(folder, "agent", AgentConfig)
     with named_errors(folder.path / "config.json"):
         require_trusted_choices(config)
-    return make_team(config, human_policy, recorded_human.kept(folder))
+    return make_team(config, human_policy, recorded_human.load_from_results(folder))
 
 
 def require_same_human(folder: ResultsFolder, human_policy: str | None) -> None:

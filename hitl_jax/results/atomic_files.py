@@ -90,7 +90,7 @@ def write_bytes_atomic(path: pathlib.Path, data: bytes, mode: int = 0o666) -> No
     with named_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with _temporary_file(path, mode) as (temporary, descriptor):
-            _write_synced(descriptor, data)
+            write_synced(descriptor, data)
             os.replace(temporary, path)
         _sync_folder(path.parent)
 
@@ -111,7 +111,7 @@ def write_folder_atomic(path: pathlib.Path, contents: Mapping[str, bytes]) -> No
         with _temporary_folder(path) as temporary:
             for name, data in contents.items():
                 with open(temporary / name, "xb") as file:
-                    _write_synced(file.fileno(), data)
+                    write_synced(file.fileno(), data)
             _sync_folder(temporary)
             os.rename(temporary, path)
         _sync_folder(path.parent)
@@ -330,7 +330,7 @@ def _locked_while_written(descriptor: int) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _write_synced(descriptor: int, data: bytes) -> None:
+def write_synced(descriptor: int, data: bytes) -> None:
     """Writes bytes and flushes them to the disk."""
     with open(descriptor, "wb", closefd=False) as file:
         file.write(data)

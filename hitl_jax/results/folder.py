@@ -116,7 +116,7 @@ class ResultsFolder:
                 require_same(self.path, self.load_config(), config)
                 require_same(self.path, {"shard": self.load_shard()}, {"shard": shard})
                 remove_leftovers(self.path)
-                return changes(self._document(), provenance)
+                return changes(self.load_document(), provenance)
             ours = (TEMPORARY, LOCK)
             foreign = [p.name for p in self.path.iterdir() if not p.name.startswith(ours)]
             if foreign:
@@ -136,7 +136,7 @@ class ResultsFolder:
         Raises:
             ResultsError: if this is no results folder, or config.json is damaged.
         """
-        return completed(self._document()["config"])
+        return completed(self.load_document()["config"])
 
     def load_shard(self) -> dict[str, Any] | None:
         """The part of a sweep that the folder is for; None for a whole sweep.
@@ -144,9 +144,9 @@ class ResultsFolder:
         Raises:
             ResultsError: if config.json is damaged.
         """
-        return self._document().get("shard")
+        return self.load_document().get("shard")
 
-    def _document(self) -> dict[str, Any]:
+    def load_document(self) -> dict[str, Any]:
         """Reads and checks config.json."""
         path = self.path / "config.json"
         if not path.exists():

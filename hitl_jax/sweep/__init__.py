@@ -1,1 +1,1 @@
-"""Runs trained, tested, saved and gone on with: what all commands that train have in common."""
+"""Trains, tests, saves and resumes runs: shared by all commands that train."""

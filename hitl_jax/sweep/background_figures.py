@@ -63,6 +63,16 @@ class BackgroundFigures:
             os.setpriority(os.PRIO_PROCESS, self._drawing.pid, os.nice(0) + FIGURES_NICE)
         self._draw_at = time.monotonic() + FIGURES_SECONDS
 
+    @property
+    def drawing(self) -> subprocess.Popen | None:
+        """The process that draws, or has drawn last; None before the first."""
+        return self._drawing
+
+    def draw_now(self) -> None:
+        """Begins a drawing at once, unless one is under way."""
+        self._draw_at = time.monotonic()
+        self.draw_if_due()
+
     def stop(self) -> None:
         """Ends a drawing that is under way: a folder has one writer."""
         if self._drawing is not None:

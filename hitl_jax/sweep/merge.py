@@ -37,7 +37,7 @@ class Merge(NamedTuple):
         Raises:
             ResultsError: if the disk refuses.
         """
-        recorded_human.keep(self.out.path, self.dangerous)
+        recorded_human.save_to_results(self.out.path, self.dangerous)
         there = self.out.finished()
         for folder, shard in zip(self.folders, self.shards, strict=True):
             for key in shard.runs():

@@ -50,13 +50,13 @@ def digest(dangerous: np.ndarray | None) -> dict[str, str]:
     return {"human": "sha256:" + hashlib.sha256(dangerous.tobytes()).hexdigest()}
 
 
-def keep(folder: pathlib.Path, dangerous: np.ndarray | None) -> None:
+def save_to_results(folder: pathlib.Path, dangerous: np.ndarray | None) -> None:
     """Keeps a recorded human with the results that it had a part in."""
     if dangerous is not None:
         write(folder / _IN_FOLDER, dangerous)
 
 
-def kept(folder: ResultsFolder) -> HumanPart | None:
+def load_from_results(folder: ResultsFolder) -> HumanPart | None:
     """The recorded human of results; None where it was simulated.
 
     Raises:

@@ -104,7 +104,7 @@ def prepared(options: SweepOptions, command: str, say: Callable[[str], None]) ->
         part = options.part()
         changed = folder.create_or_resume(config, command, part and part._asdict())
         folder.require_free(spec.key for spec in options.specs())
-        recorded_human.keep(folder.path, dangerous)
+        recorded_human.save_to_results(folder.path, dangerous)
         if changed:
             say(f"{options.out} was begun with {'; '.join(changed)}")
         yield Prepared(options, agent, folder, config)

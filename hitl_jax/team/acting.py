@@ -1,4 +1,4 @@
-"""One run of the human-machine team: what it does at a step, to be vmapped by the caller."""
+"""What one run does at a step: noise, boundary, alarm, arbiter, action. The caller vmaps it."""
 
 import dataclasses
 from typing import NamedTuple
@@ -95,7 +95,7 @@ def init_acting(agent: Agent, hyper: RunHyper, key: chex.PRNGKey) -> ActingState
 
 
 def begin_episode(agent: Agent, state: ActingState) -> ActingState:
-    """Forgets what belongs to an episode; boundary, step count and attention go on."""
+    """Resets what belongs to an episode; boundary, step count and attention carry over."""
     return dataclasses.replace(
         state,
         episodes=state.episodes + 1,

@@ -1,4 +1,4 @@
-"""One run of the human-machine team: its parts, init and update, to be vmapped by the caller."""
+"""`Agent`: the parts of one run, its initial state and its updates. The caller vmaps them."""
 
 import dataclasses
 from typing import Any, NamedTuple

@@ -1,7 +1,7 @@
-"""What a run's learners are at: losses, values and gradients on a sample of its replay.
+"""Losses, values and gradients of both learners of a run, on a sample of its replay.
 
-They are computed apart from the updates, by a program of their own: the numbers of the updates do
-not depend on whether anybody looks.
+They are computed apart from the updates, by a program of their own: the numbers of a run do not
+depend on them.
 """
 
 import functools

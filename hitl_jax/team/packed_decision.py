@@ -1,4 +1,4 @@
-"""One tick of one run, packed into one row: a step, or what comes before an episode."""
+"""Packs one tick of one run into a row: a step, or the reset before an episode."""
 
 import functools
 
@@ -21,7 +21,7 @@ def act_or_begin(
     observation: chex.Array,
     live: chex.Array,
 ) -> tuple[ActingState, chex.Array]:
-    """One tick of one run: a step where the run is live, else it forgets the last episode.
+    """One tick of one run: a step where the run is live, else its per-episode state is reset.
 
     Args:
         agent: the team.

@@ -1,1 +1,1 @@
-"""Many runs trained side by side: the batch, the host loop, and runs that wait on disk."""
+"""Trains many runs side by side: compiled batch, host loop, saved runs."""

@@ -1,7 +1,7 @@
 """The arrays of a batch of runs on a device, and how one run's state is packed into a row of them.
 
 Training states, what acting remembers, and hyperparameters are packed, a row of words for each run:
-each array of a call costs the host time, and each that a run takes and gives costs a kernel.
+each array of a call costs the host time, and each input or output of a run costs a kernel.
 """
 
 import functools
@@ -162,7 +162,7 @@ def unpack_behavior(
     agent: Agent, packed: Sequence[chex.Array], beside: chex.Array | None = None
 ) -> Behavior:
     """What acting needs of runs, leaves [A, ...], from arrays of some of them, [.., B]."""
-    del beside  # It has told the device.
+    del beside  # Its device is where this runs.
     num_runs = sum(map(len, packed))
     behind = jnp.zeros(
         (full_registers.full(num_runs) - num_runs, packed[0].shape[1]), packed[0].dtype

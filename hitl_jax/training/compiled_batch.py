@@ -1,11 +1,11 @@
-"""The one place where runs are vmapped: R runs that share nothing but the ring's cursor.
+"""R independent runs as one batch; they share the write position of the replay, and nothing else.
 
 Learning. Each device has its own runs and the same programs (`learn_batch`): two CPU devices keep
 two cores busy better than one with two threads, since a small matrix product does not split well.
 
 Acting. One small program for all runs on one device, called once a tick by the host loop
 (`host_stage`), or a part of a program for a whole chunk (`device_stage`). It has rows for A ≥ R
-runs (`xla.full_registers`); those behind the last run mean nothing.
+runs (`xla.full_registers`); rows behind the last run are padding.
 """
 
 import dataclasses

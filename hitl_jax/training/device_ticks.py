@@ -1,4 +1,4 @@
-"""A chunk of ticks as one program on the device: acting, walkers and all between them."""
+"""A chunk of ticks as one program on the device: acting, walkers, and the end-of-step rule."""
 
 import dataclasses
 import functools

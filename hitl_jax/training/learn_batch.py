@@ -1,4 +1,4 @@
-"""The call of the learner: the runs of one device that are to learn, one by one or in tiles.
+"""One call of the learner: updates of the runs of one device, one by one or in tiles.
 
 On a CPU device, a loop takes the runs that are to learn one by one, and makes all updates of a call
 on one before the next (`devices.default_tile` says why). An accelerator takes them in tiles (`vmap`
@@ -42,7 +42,7 @@ def learn_all(
 
     def learn_one(index: chex.Array, train: chex.Array) -> chex.Array:
         slot = slots[index]
-        return _give(train, slot, learn(hyper[slot], _take(like, train, slot), slot))
+        return _write_row(train, slot, learn(hyper[slot], _unpack_row(like, train, slot), slot))
 
     padded = jnp.concatenate([slots, jnp.zeros((tile,), slots.dtype)])
 
@@ -61,7 +61,7 @@ def learn_all(
     return (train, memory), pack_behavior(agent, train)
 
 
-def _take(like: chex.ArrayTree, words: chex.Array, slot: chex.Array) -> chex.ArrayTree:
+def _unpack_row(like: chex.ArrayTree, words: chex.Array, slot: chex.Array) -> chex.ArrayTree:
     """One row of words [R, P], unpacked, each piece read by itself: all is copied once."""
     pieces, place = [], 0
     for size in piece_sizes(like):
@@ -70,7 +70,7 @@ def _take(like: chex.ArrayTree, words: chex.Array, slot: chex.Array) -> chex.Arr
     return from_pieces(like, pieces)
 
 
-def _give(words: chex.Array, slot: chex.Array, tree: chex.ArrayTree) -> chex.Array:
+def _write_row(words: chex.Array, slot: chex.Array, tree: chex.ArrayTree) -> chex.Array:
     """The words with one row replaced, in place within a loop.
 
     XLA copies all words first unless what is written first depends on all that was read: among

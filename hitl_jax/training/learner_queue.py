@@ -1,4 +1,4 @@
-"""The learner of the host loop: all runs on the learning devices, and its calls under way."""
+"""The host loop's learner: all runs on the learning devices, and calls not yet finished."""
 
 import dataclasses
 import operator

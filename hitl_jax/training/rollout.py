@@ -1,13 +1,11 @@
-"""The host loop: walkers on one side, the learner on the other, both busy.
-
-(Not where both are on one GPU: there they take turns, and the host books a chunk while the next is
-played.)
+"""The host loop: it plays walkers while the learner updates in parallel.
 
 Time is cut into ticks (one step of every walker) and chunks of U ticks. While the walkers play
 chunk i+1, the device learns from chunk i, or still from chunk i−1: up to `learner_queue.LAG` calls
 of the learner are under way, so that neither side waits for the other at the end of a chunk. The
 parameters that act in chunk i+1 are those learned up to chunk i−`LAG`. The lag is part of a run's
-definition: it is the same whatever the machine's speed.
+definition: it is the same whatever the machine's speed. (Where walkers and learner are on one GPU
+they take turns, and the host books a chunk while the next is played.)
 
 A slot is a column of the batch. Runs wait in a queue for a slot; a run that is done leaves its slot
 at once, and takes no more time. Nothing a run computes depends on its slot or on its neighbours.

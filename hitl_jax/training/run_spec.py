@@ -1,4 +1,4 @@
-"""What a run is: which one, how much it plays and learns, and what it leaves behind."""
+"""What a run is: its specification, its record while it runs, and its results."""
 
 import dataclasses
 import math

@@ -1,4 +1,4 @@
-"""A run under way as plain arrays: all that its numbers depend on from here on.
+"""A run under way as plain arrays: all that is needed to continue it exactly.
 
 A Box2D world cannot be saved, but an episode is its reset seed and its actions: the walker is
 brought back by playing them again.

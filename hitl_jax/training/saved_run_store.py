@@ -5,7 +5,7 @@
     FOLDER/frames-000012.npz    replay frames that the runs added since save 11
     FOLDER/state-000012.npz     all else of each run, and which frames belong to it
 
-A save counts once its state is there, whole. The state before it is kept, in case the newest cannot
+A save is valid once its state file is whole. The state before it is kept, in case the newest cannot
 be read; frames are kept as long as one of the two needs them, and never changed. A file is an npz
 with a checksum behind it; reading executes nothing (no pickle).
 """
@@ -285,19 +285,20 @@ def _rows(table: Table) -> list[dict[str, Any]]:
 
 def _write(path: pathlib.Path, arrays: dict[str, np.ndarray]) -> None:
     data = to_npz(arrays)
-    write_bytes_atomic(path, data + _digest(data))
+    write_bytes_atomic(path, data + digest(data))
 
 
 def _read(path: pathlib.Path) -> dict[str, np.ndarray]:
     with named_errors(path):
         data = read_bytes(path, at_most=2**50)  # However large the replays are.
-        data, digest = data[:-_DIGEST_SIZE], data[-_DIGEST_SIZE:]
-        if digest != _digest(data):
+        data, has = data[:-_DIGEST_SIZE], data[-_DIGEST_SIZE:]
+        if has != digest(data):
             raise ValueError("its checksum is wrong")
         return from_npz(data)
 
 
-def _digest(data: bytes) -> bytes:
+def digest(data: bytes) -> bytes:
+    """The checksum that stands behind a file's content."""
     return hashlib.blake2b(data, digest_size=_DIGEST_SIZE).digest()
 
 

@@ -44,7 +44,7 @@ class Tick(Protocol):
     """A tick under way.
 
     Attributes:
-        decided: frames and flags, [R, W + 6]; see `decisions.act_or_begin`.
+        decided: frames and flags, [R, W + 6]; see `team.packed_decision.act_or_begin`.
     """
 
     decided: np.ndarray

@@ -1,8 +1,8 @@
-"""How a step ends, and what is kept of it.
+"""The rule that ends an episode, and the frames and episodes that are made of steps.
 
 `end_of_step` is the one rule by which an episode ends and by which numbers count as not finite: in
 training on the host and on the device, in both examiners, and in a live session. The rest is NumPy:
-the replay learns from frames, which are steps as the human's feedback shapes them; the host keeps
+the replay learns from frames, which are steps with the reward of equation (7); the host keeps
 the steps of an episode, from the action on, until the episode has ended.
 """
 
@@ -21,7 +21,7 @@ from hitl_jax.results.recorded_episodes import STEP_COLUMNS
 
 
 class StepEnd(NamedTuple):
-    """What a tick came to, for N walkers; NumPy or JAX arrays, as they were given.
+    """Which episodes ended at a tick, and which numbers are finite; NumPy or JAX arrays, as given.
 
     Attributes:
         finite: whether what the walkers answered is finite, bool [N] each, by quantity:

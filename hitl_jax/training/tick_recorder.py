@@ -25,10 +25,10 @@ from hitl_jax.training.step_booking import (
 
 
 class TickRecorder:
-    """Books the ticks of R slots: ends their episodes, and their runs.
+    """Records the ticks of R slots: ends their episodes, and their runs.
 
     Attributes:
-        slots: what the stage is told of each slot.
+        slots: what the stage knows of each slot.
         logged: columns of a step as it is kept until its episode has ended.
         recorded_width: columns of a step of a recorded episode.
     """
@@ -98,7 +98,7 @@ class TickRecorder:
         return self._log.of(slot)
 
     def book(self, ticks: Iterator[Tick]) -> np.ndarray:
-        """Books a chunk of ticks; gives the frames for the replay, [R, U, W]."""
+        """Records a chunk of ticks; gives the frames for the replay, [R, U, W]."""
         layout, slots = self._layout, self.slots
         steps = np.zeros((len(self._runs), self._chunk, layout.step_width), np.float32)
         for place, tick in enumerate(ticks):

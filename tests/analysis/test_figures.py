@@ -448,7 +448,7 @@ def test_the_other_drawings_cost_nothing_either(tmp_path, monkeypatch):
     assert written.table
     assert written.failures == ["methods: could not be drawn: RuntimeError: there is no font"]
     assert (tmp_path / "methods.md").exists()
-    monkeypatch.setattr(scaling, "_draw", _fails)
+    monkeypatch.setattr(scaling, "draw_rows", _fails)
     [told] = scaling.draw_scaling([], str(tmp_path / "scaling.svg"))
     assert "scaling.svg: could not be drawn: " in told
     monkeypatch.setattr(alarm_figures, "_figure", _fails)

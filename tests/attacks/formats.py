@@ -86,7 +86,7 @@ def make(root: pathlib.Path) -> None:
         human = _human_of(name)
         folder = ResultsFolder(root / name)
         folder.create_or_resume(config | human, "hitl-jax sweep", _SHARD)
-        recorded_human.keep(folder.path, _DANGEROUS if human else None)
+        recorded_human.save_to_results(folder.path, _DANGEROUS if human else None)
         _save_run(folder, config | human, rng)
         folder.write_partial(RunKey("srl", 1), _columns(EPISODE_COLUMNS, _EPISODES, rng))
     _as_of_format_1(root / "old")
@@ -239,7 +239,7 @@ def _make_journal(path: pathlib.Path) -> None:
 
 def _read_sweep(root: pathlib.Path, name: str = "sweep") -> Any:
     folder = ResultsFolder(root / name)
-    document = folder._document()
+    document = folder.load_document()
     folder.create_or_resume(_config() | _human_of(name), "again", _SHARD)
     run = folder.load_run(KEY)
     agent = load_trained.agent_of(folder)
@@ -300,7 +300,7 @@ def _read_old_journal(root: pathlib.Path) -> Any:
 def _read_alarms(root: pathlib.Path) -> Any:
     path = root / "sweep" / alarm_figures.DATA
     with named_errors(path):
-        return alarm_figures._load(path.read_bytes().decode())
+        return alarm_figures.load_counts(path.read_bytes().decode())
 
 
 def _read_map(root: pathlib.Path) -> Any:
@@ -455,7 +455,7 @@ def sign_lines(data: bytes, chance: random.Random) -> bytes:
         if isinstance(document, dict):
             document.pop("sum", None)
         text = json.dumps(document, separators=(",", ":")).encode()
-        before = journal._next_sum(before, text)
+        before = journal.next_sum(before, text)
         signed.append(text[:-1] + b',"sum":"' + before + b'"}')
     return b"\n".join(signed) + b"\n"
 
@@ -473,9 +473,9 @@ def sign_save(data: bytes, chance: random.Random) -> bytes:
         changed = file.getvalue()
     else:
         changed = damages.swap_arrays(data[:-size], chance)
-    from hitl_jax.training.saved_run_store import _digest
+    from hitl_jax.training.saved_run_store import digest
 
-    return changed + _digest(changed)
+    return changed + digest(changed)
 
 
 def like_a_save(before: bytes, now: bytes) -> bool:

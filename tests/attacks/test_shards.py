@@ -191,7 +191,7 @@ def test_shards_of_different_humans_are_not_merged(tmp_path, capsys):
     mine, yours = np.arange(5) > 2, np.arange(5) > 3
     config = _CONFIG | recorded_human.digest(mine)
     for number in (1, 2):
-        recorded_human.keep(_shard(tmp_path / str(number), number, config).path, mine)
+        recorded_human.save_to_results(_shard(tmp_path / str(number), number, config).path, mine)
     shards = tmp_path / "1", tmp_path / "2"
     assert _merge(shards, tmp_path / "out", capsys)[0] == 0
     shutil.rmtree(tmp_path / "out")

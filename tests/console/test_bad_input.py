@@ -106,7 +106,7 @@ def _session(folder):
 
 
 def test_a_full_disk_costs_nothing_that_is_there(tmp_path, monkeypatch):
-    write, left = atomic_files._write_synced, 10**6
+    write, left = atomic_files.write_synced, 10**6
 
     def full(descriptor, data):
         nonlocal left
@@ -116,7 +116,7 @@ def test_a_full_disk_costs_nothing_that_is_there(tmp_path, monkeypatch):
             raise OSError(errno.ENOSPC, "No space left on device")
         write(descriptor, data)
 
-    monkeypatch.setattr(atomic_files, "_write_synced", full)
+    monkeypatch.setattr(atomic_files, "write_synced", full)
     _session(ResultsFolder(tmp_path / "whole"))
     writes = 10**6 - left
     assert writes > 15

@@ -58,7 +58,7 @@ def test_flops_of_an_update_counted_by_hand():
 
 def test_a_missing_peer_is_named():
     ways = [("theirs", "no-such-package", lambda _: 1.0), ("ours", "hitl_jax", lambda _: 2.0)]
-    theirs, ours = peers._rows(ways, "theirs", 1.0, bar=3.0)
+    theirs, ours = peers.compared(ways, "theirs", 1.0, bar=3.0)
     assert "missing" in theirs["peer"]
     assert '".[bench]"' in theirs["peer"]
     assert ours["steps/s"] == 2
@@ -70,7 +70,7 @@ def test_ours_are_compared_with_the_reference_and_with_the_best_of_the_others():
     rates = {"jax": [3.0, 1.0, 9.0], "numpy": [1.0, 2.0, 4.0], "hitl_jax": [3.0, 4.0, 18.0]}
     turns = {name: iter(rate) for name, rate in rates.items()}
     ways = [(name, name, lambda _, turn=turn: next(turn)) for name, turn in turns.items()]
-    *others, ours = peers._rows(ways, "numpy", 1.0, bar=3.0)
+    *others, ours = peers.compared(ways, "numpy", 1.0, bar=3.0)
     assert ours["steps/s"] == 4
     assert ours["ratio"] == 3.0  # of 3, 2 and 4.5; 4 / 2 by the medians
     assert ours["to the best"] == 2.0  # of 3 / 3, 4 / 2 and 18 / 9; 4 / 3 by the medians

@@ -55,9 +55,9 @@ with make_pool("jax", 1, env_id=HARDCORE_WALKER) as pool:
 """
 
 _WORK = {
-    "host": (_SWEEP.format("lean"), {"act_packed", "_learn_all", "begin"}),
-    "device": (_SWEEP.format("jax"), {"_play", "_learn_all", "begin"}),
-    "hardcore": (_HARDCORE, {"tick", "_made"}),
+    "host": (_SWEEP.format("lean"), {"act_packed", "learn_all", "_begin"}),
+    "device": (_SWEEP.format("jax"), {"_play", "learn_all", "_begin"}),
+    "hardcore": (_HARDCORE, {"tick", "new_walkers"}),
 }
 
 

@@ -20,9 +20,8 @@ from hitl_jax.__main__ import main
 from hitl_jax.sweep.background_figures import BackgroundFigures
 
 def draw(figures):
-    figures._draw_at = 0.0
-    figures.draw_if_due()
-    print("the drawing ended with", figures._drawing.wait())
+    figures.draw_now()
+    print("the drawing ended with", figures.drawing.wait())
 
 BackgroundFigures.stop = draw
 sys.exit(main(["sweep", *sys.argv[1:]]))

@@ -105,7 +105,7 @@ def test_a_finished_run_is_not_overwritten(folder):
 @pytest.mark.parametrize("failing", ["test.csv", "run.json", "rename"])
 def test_a_failure_while_saving_leaves_nothing(folder, monkeypatch, failing):
     before = everything_below(folder.path)
-    real = atomic_files._write_synced
+    real = atomic_files.write_synced
 
     def write(descriptor, data):
         if failing in os.readlink(f"/proc/self/fd/{descriptor}"):
@@ -117,7 +117,7 @@ def test_a_failure_while_saving_leaves_nothing(folder, monkeypatch, failing):
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(atomic_files, "_write_synced", write)
+        patch.setattr(atomic_files, "write_synced", write)
         if failing == "rename":
             patch.setattr(os, "rename", rename)
         with pytest.raises(ResultsError, match="seed-0003: No space left on device"):
