@@ -119,7 +119,7 @@ def _refused(options, capsys):
         (["--start", "pyproject.toml"], "--start pyproject.toml: is no checkpoint"),
         (["--seed", "4294967296"], "--seed 4294967296: must be at least 0 and at most"),
         (["--n-step", "5000"], "--n-step 5000: must be at most 1000"),
-        (["--observation-size", "3"], "--observation-size 3: must be at least 24"),
+        (["--observation-size", "3"], "--observation-size 3: must be 24"),
         (["--method", "srl"], "--method srl: must be one of hitl-ac, hitl-fix"),
         (["--port", "70000"], "--port 70000: must be at least 0 and at most 65535"),
         (["--answer-seconds", "0"], "--answer-seconds 0.0: must be at least 0.1"),
