@@ -108,7 +108,7 @@ class Rollout:
         self._queue = deque(sorted(specs, key=lambda spec: spec.key not in self._saved))
         self._held: set[RunKey] = set()
         self._ahead: _Chunk | None = None
-        self._diagnosed: list[tuple[Run, Row, Metrics]] = []
+        self._diagnosed: deque[tuple[Run, Row, Metrics]] = deque()
         self._fill(self._learner.order())
 
     def __iter__(self) -> Iterator[list[FinishedRun]]:
@@ -142,7 +142,7 @@ class Rollout:
 
     def collect(self, run: Run) -> FinishedRun:
         """What a run has become so far; for a run that has a slot."""
-        self._note_diagnostics()
+        self._note_diagnostics(wait=True)
         return FinishedRun(run, self._learner.train_of(run.slot), self._boundary_of(run))
 
     def save(self) -> list[SavedRun]:
@@ -152,7 +152,7 @@ class Rollout:
         are those since the runs were saved before.
         """
         self._catch_up()
-        self._note_diagnostics()
+        self._note_diagnostics(wait=True)
         train, learned = self._learner.save()
         acting = self._stage.words()
         recent = np.concatenate(self._recent, axis=1)
@@ -315,18 +315,22 @@ class Rollout:
                 slots.append(run.slot)
                 run.updates += self._learner.num_updates
         self._learner.learn(frames, slots)
+        self._note_diagnostics(wait=False)
         for run in self.runs():
             if run.slot in slots and run.updates % EVERY < self._learner.num_updates:
                 numbers = (run.updates, run.env_steps, len(run.episodes))
                 row: Row = dict(zip(COUNTERS, numbers, strict=True))
                 self._diagnosed.append((run, row, self._learner.diagnose(run.slot)))
 
-    def _note_diagnostics(self) -> None:
-        """Notes the samples of the learners that were begun; waits for them."""
-        for run, row, metrics in self._diagnosed:
+    def _note_diagnostics(self, wait: bool) -> None:
+        """Notes the samples of the learners in their order: those that are there, or all."""
+        while self._diagnosed:
+            run, row, metrics = self._diagnosed[0]
+            if not (wait or all(value.is_ready() for value in metrics.values())):
+                return
+            self._diagnosed.popleft()
             measured = {name: float(value) for name, value in jax.device_get(metrics).items()}
             run.diagnostics.append(row | measured)
-        self._diagnosed.clear()
 
 
 def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:

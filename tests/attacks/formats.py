@@ -29,6 +29,7 @@ from hitl_jax.live.recorded_person import options_from
 from hitl_jax.live.session import Session
 from hitl_jax.playback import load_trained
 from hitl_jax.results.atomic_files import named_errors
+from hitl_jax.results.diagnostic_table import FILE as DIAGNOSTICS
 from hitl_jax.results.episode_tables import EPISODE_COLUMNS, PROGRESS_COLUMNS, TEST_COLUMNS
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.recorded_episodes import STEP_COLUMNS, Recording
@@ -75,6 +76,11 @@ class Format(NamedTuple):
 
 
 # ------------------------------------------------------------------------------ what is made
+
+SAMPLES = [
+    {"updates": 1000, "env_steps": 2000, "episodes": 1, "q": 0.5, "critic_loss": 1.25},
+    {"updates": 2000, "env_steps": 4000, "episodes": 2, "q": 0.75, "critic_loss": 1.5},
+]
 
 
 def make(root: pathlib.Path) -> None:
@@ -164,10 +170,12 @@ def _save_run(folder: ResultsFolder, config: dict[str, Any], rng: np.random.Gene
         info,
         _columns(PROGRESS_COLUMNS, _TESTS, rng),
         {"best": Recording(2, steps), "first-intervention": Recording(1, steps)},
+        SAMPLES,
     )
 
 
 def _as_of_format_1(path: pathlib.Path) -> None:
+    (path / RUN / DIAGNOSTICS).unlink()  # It came later.
     for file in (path / "config.json", path / RUN / "run.json"):
         document = json.loads(file.read_text()) | {"format": 1}
         without = {k: v for k, v in document.items() if k not in ("digest", "files")}
@@ -190,6 +198,7 @@ def _make_saves(path: pathlib.Path, rng: np.random.Generator) -> None:
         facts = dataclasses.asdict(KEY) | {"ticks": ticks, "env_steps": 3, "updates": 1}
         facts |= {"seconds": 1.0, "begun": True, "diverged": None, "commits": ["abc"]}
         facts |= {"recordings": {"best": [1, _LENGTH]}, "versions": {"jax": "1"}, "episodes": rows}
+        facts |= {"diagnostics": SAMPLES}
         saves.write(
             [
                 SavedRun(
@@ -511,6 +520,7 @@ FORMATS = (
     Format("episodes.csv", f"sweep/{RUN}/episodes.csv", _read_sweep, _CSV, never),
     Format("test.csv", f"sweep/{RUN}/test.csv", _read_sweep, _CSV, never),
     Format("progress.csv", f"sweep/{RUN}/progress.csv", _read_sweep, _CSV, never),
+    Format(DIAGNOSTICS, f"sweep/{RUN}/{DIAGNOSTICS}", _read_sweep, _CSV, never),
     Format("params.npz", f"sweep/{RUN}/params.npz", _read_sweep, _ARRAYS, never),
     Format("episodes.npz", f"sweep/{RUN}/episodes.npz", _read_sweep, _ARRAYS, never),
     Format("config.json, format 1", "old/config.json", _read_old, _JSON, like_json),

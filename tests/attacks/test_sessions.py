@@ -84,7 +84,7 @@ def test_a_name_to_which_nothing_can_be_added_is_refused_at_the_start(tmp_path, 
         assert not path.exists()
     longest = tmp_path / ("a" * (most - 10))
     _begun(longest).close()
-    for ending in journal.BESIDE:
+    for ending in journal.COMPANION_ENDINGS:
         write_bytes_atomic(longest.with_name(longest.name + ending), b"")
 
 

@@ -40,6 +40,7 @@ def _shard(path, number, config=_CONFIG, episodes=3):
         make_params(),
         make_info(config=config),
         recordings=recorded,
+        diagnostics=[{"updates": 1000, "env_steps": 2000, "episodes": 1, "q": 0.5}],
     )
     return folder
 

@@ -18,6 +18,7 @@ from hitl_jax.commands import merge
 from hitl_jax.commands.seed_sweep import main
 from hitl_jax.console.cli import run_main
 from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.run_files import RUN_FILES
 from hitl_jax.sweep import run_sweep
 
 # A cluster begins by a fork, in which nothing of JAX's is used.
@@ -26,7 +27,6 @@ pytestmark = [
     pytest.mark.usefixtures("compiled_fully"),
 ]
 
-_TABLES = ("episodes.csv", "test.csv", "progress.csv", "params.npz", "episodes.npz")
 _OPTIONS = [
     *("--methods", "srl", "--seeds", "4", "--episodes", "2", "--test-episodes", "1"),
     *("--warmup-steps", "64", *small.OPTIONS),
@@ -51,9 +51,9 @@ def whole(tmp_path_factory):
 def _assert_equal(out, whole):
     names = sorted(path.relative_to(whole) for path in whole.glob("runs/*/*/*"))
     assert sorted(path.relative_to(out) for path in out.glob("runs/*/*/*")) == names
-    assert len(names) == 4 * 6
+    assert len(names) == 4 * (len(RUN_FILES) + 1)
     for name in names:
-        if name.name in _TABLES:
+        if name.name in RUN_FILES:
             assert (out / name).read_bytes() == (whole / name).read_bytes(), name
 
 

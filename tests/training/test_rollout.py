@@ -126,9 +126,10 @@ def test_memory_is_flat():
         for seed in range(2)
         for method in Method
     ]
-    rollout = iter(Rollout(make_agent(_CONFIG), specs, ToyPool(6), _LOOP))
+    playing = Rollout(make_agent(_CONFIG), specs, ToyPool(6), _LOOP)
+    rollout = iter(playing)
     sizes = []
-    for chunks in (50, 200, 200):
+    for chunks in (50, 300, 300):  # The learners are first sampled in the second.
         for _ in range(chunks):
             next(rollout)
         arrays = sum(array.nbytes for array in jax.live_arrays())
@@ -137,6 +138,7 @@ def test_memory_is_flat():
     *arrays_after, after = sizes[2]
     assert arrays_after == arrays
     assert after - before < 5
+    assert [len(run.diagnostics) for run in playing.runs()] == [2] * 6
 
 
 def test_a_finished_run_takes_no_more_steps():

@@ -31,7 +31,7 @@ def test_braxs_ppo_trains_on_it(monkeypatch):
     from brax.training.agents.ppo import train
 
     # No test is asked for, but Brax would compile a reset for one: half a minute.
-    monkeypatch.setattr(train.acting, "HostExaminer", lambda *_, **__: None)
+    monkeypatch.setattr(train.acting, "Evaluator", lambda *_, **__: None)
     options = brax_ppo.PpoOptions(steps=512, walkers=WALKERS, unroll=16, evaluations=0)
     seen, policy, _ = brax_ppo.run(options, lambda *_: None)
     assert int(seen.count.lo if hasattr(seen.count, "lo") else seen.count) >= 512
