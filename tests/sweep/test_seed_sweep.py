@@ -32,7 +32,6 @@ from hitl_jax.sweep import run_sweep
 from hitl_jax.sweep.background_figures import BackgroundFigures
 from hitl_jax.sweep.run_sweep import Sweep
 
-
 _SMALL = [
     *("--seeds", "1", "--episodes", "3", "--test-episodes", "2", "--warmup-steps", "100"),
     *small.OPTIONS,
