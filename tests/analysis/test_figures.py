@@ -431,7 +431,7 @@ def test_a_full_disk_is_the_folders_error(plain, monkeypatch):
     def full(descriptor, data):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(atomic_files, "_write_synced", full)
+    monkeypatch.setattr(atomic_files, "write_synced", full)
     with pytest.raises(ResultsError, match=r"figure4_training\.png: No space left on device"):
         draw_all(plain)
 

@@ -16,8 +16,6 @@ from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import RunSpec
 from hitl_jax.walker import gpu
 
-pytestmark = pytest.mark.usefixtures("compiled_fully")
-
 
 def _specs(episodes=24, seeds=2):
     return [
