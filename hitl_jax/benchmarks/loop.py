@@ -61,10 +61,12 @@ def specs_of(methods: list[Method], num_runs: int) -> list[RunSpec]:
 
 
 def warm_up(rollout: Rollout, chunks: Iterator[Any]) -> None:
-    """Plays until every run learns; the first chunk compiles every program."""
+    """Plays until every run learns, and compiles what the loop calls now and then."""
     next(chunks)
     while rollout.runs()[0].ticks < 2 * WARMUP_STEPS:
         next(chunks)
+    for run in rollout.runs():
+        rollout.diagnose(run)
 
 
 def play(rollout: Rollout, chunks: Iterator[Any], seconds: float) -> Played:

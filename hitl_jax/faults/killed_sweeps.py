@@ -14,13 +14,13 @@ from hitl_jax.envs.interpreter import child_interpreter
 from hitl_jax.errors import LaunchError
 from hitl_jax.faults.disturbances import Site, disturb, make_another
 from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.run_files import RUN_FILES
 
 _SWEEP = (
     *("--seeds", "1", "--episodes", "150", "--test-episodes", "4", "--learner", "td3"),
     *("--hidden-sizes", "16", "--batch-size", "16", "--capacity", "5000", "--warmup-steps", "500"),
     *("--save-seconds", "1"),
 )
-_TABLES = ("episodes.csv", "test.csv", "progress.csv", "params.npz", "episodes.npz")
 
 
 Say = Callable[[str], None]
@@ -177,7 +177,7 @@ def differences(one: ResultsFolder, other: ResultsFolder) -> list[pathlib.Path]:
         return [other.path / "runs"]
     different = []
     for path in sorted(one.path.glob("runs/*/*")):
-        for name in _TABLES:
+        for name in RUN_FILES:
             there = other.path / path.relative_to(one.path) / name
             if not _same(path / name, there):
                 different.append(there)

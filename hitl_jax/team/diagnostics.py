@@ -62,3 +62,8 @@ def diagnose(
     }
     known = functools.partial(jnp.where, hyper.learns_boundary > 0)
     return metrics | {name: known(value, jnp.nan) for name, value in of_boundary.items()}
+
+
+def on_host(metrics: Metrics) -> dict[str, float]:
+    """Metrics [] of a device as Python's numbers; waits for them."""
+    return {name: float(value) for name, value in jax.device_get(metrics).items()}

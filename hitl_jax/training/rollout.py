@@ -15,7 +15,6 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from hitl_jax.choices.checks import require
@@ -23,11 +22,10 @@ from hitl_jax.config import typed
 from hitl_jax.envs import WalkerPool
 from hitl_jax.learner.losses import Metrics
 from hitl_jax.results import recorded_episodes
-from hitl_jax.results.diagnostic_table import COUNTERS
 from hitl_jax.results.episode_measures import Row
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.team.agent import Agent, behavior, require_extra
-from hitl_jax.team.diagnostics import EVERY
+from hitl_jax.team.diagnostics import EVERY, on_host
 from hitl_jax.team.warmup import may_learn
 from hitl_jax.training import batch_arrays
 from hitl_jax.training.learner_queue import LearnerQueue
@@ -144,6 +142,14 @@ class Rollout:
         """What a run has become so far; for a run that has a slot."""
         self._note_diagnostics(wait=True)
         return FinishedRun(run, self._learner.train_of(run.slot), self._boundary_of(run))
+
+    def diagnose(self, run: Run) -> Row:
+        """Losses, values and gradients of a run's learners now, see `team.diagnostics`; waits.
+
+        Args:
+            run: one that has a slot, and has played so long that it may learn.
+        """
+        return run.counters() | on_host(self._learner.diagnose(run.slot))
 
     def save(self) -> list[SavedRun]:
         """The runs that are under way, have just ended, or were saved and wait for a slot.
@@ -318,9 +324,7 @@ class Rollout:
         self._note_diagnostics(wait=False)
         for run in self.runs():
             if run.slot in slots and run.updates % EVERY < self._learner.num_updates:
-                numbers = (run.updates, run.env_steps, len(run.episodes))
-                row: Row = dict(zip(COUNTERS, numbers, strict=True))
-                self._diagnosed.append((run, row, self._learner.diagnose(run.slot)))
+                self._diagnosed.append((run, run.counters(), self._learner.diagnose(run.slot)))
 
     def _note_diagnostics(self, wait: bool) -> None:
         """Notes the samples of the learners in their order: those that are there, or all."""
@@ -329,8 +333,7 @@ class Rollout:
             if not (wait or all(value.is_ready() for value in metrics.values())):
                 return
             self._diagnosed.popleft()
-            measured = {name: float(value) for name, value in jax.device_get(metrics).items()}
-            run.diagnostics.append(row | measured)
+            run.diagnostics.append(row | on_host(metrics))
 
 
 def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:

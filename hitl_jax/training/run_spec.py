@@ -13,6 +13,7 @@ from hitl_jax.choices.fields import checked_by, number, require_fields, whole
 from hitl_jax.config import Method, RunHyper, validate_hyper
 from hitl_jax.errors import InvalidValue
 from hitl_jax.human import UNLIMITED
+from hitl_jax.results.diagnostic_table import COUNTERS
 from hitl_jax.results.episode_measures import Row, fall_at_once
 from hitl_jax.results.recorded_episodes import Recording
 from hitl_jax.results.run_key import RunKey
@@ -175,6 +176,10 @@ class Run:
     diverged: Divergence | None = None
     diagnostics: list[Row] = dataclasses.field(default_factory=list)
     started: float = dataclasses.field(default_factory=time.monotonic)
+
+    def counters(self) -> Row:
+        """How far the run is, by the names of `diagnostic_table.COUNTERS`."""
+        return dict(zip(COUNTERS, (self.updates, self.env_steps, len(self.episodes)), strict=True))
 
     def all_episodes(self) -> list[Row]:
         """A row for each training episode; of a run that diverged those not played are falls."""

@@ -90,6 +90,23 @@ def _play(monkeypatch, every):
     return [one for done in Rollout(agent, specs, ToyPool(2), loop) for one in done]
 
 
+def test_a_run_can_be_asked_at_any_time():
+    hyper = hyper_for(Method.SRL, Hyper(warmup_steps=16))
+    agent = agents.make_agent(AgentConfig(learner="td3", hidden_sizes=(8,), batch_size=8))
+    specs = [RunSpec(Method.SRL, seed, hyper, episodes=50) for seed in range(2)]
+    playing = Rollout(agent, specs, ToyPool(2), LoopConfig(capacity=256, chunk=8))
+    chunks = iter(playing)
+    for _ in range(5):
+        next(chunks)
+    first, second = playing.runs()
+    told = playing.diagnose(first)
+    assert told["updates"] == first.updates > 0
+    assert np.isfinite(told["q"]) and np.isfinite(told["actor_gradient_norm"])
+    assert np.isnan(told["network_boundary"])  # SRL learns no boundary.
+    assert told["q"] != playing.diagnose(second)["q"]
+    assert not first.diagnostics
+
+
 def test_to_look_changes_nothing(monkeypatch):
     often, never = _play(monkeypatch, 8), _play(monkeypatch, 10**9)
     for one, other in zip(often, never, strict=True):

@@ -16,6 +16,7 @@ from hitl_jax.envs import Command
 from hitl_jax.human.judgement import HumanParams
 from hitl_jax.results.episode_tables import EPISODE_COLUMNS, to_columns
 from hitl_jax.team.agent import make_agent
+from hitl_jax.training import rollout
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec, episode_seed
 from hitl_jax.training.saved_run import CannotReturn, bring_back
@@ -33,6 +34,14 @@ _SPECS = [
 ]
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _sampled_often():
+    """Short runs have samples of their learners, too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rollout, "EVERY", 4)
+        yield
+
+
 def _rollout(specs, slots, saved):
     return Rollout(make_agent(_CONFIG), specs, ToyPool(slots), _LOOP, saved=saved)
 
@@ -47,6 +56,8 @@ def _assert_same(one, other):
     # As text, since NaN differs from itself.
     columns = [repr(to_columns(of.run.episodes, EPISODE_COLUMNS)) for of in (one, other)]
     assert columns[0] == columns[1]
+    assert repr(one.run.diagnostics) == repr(other.run.diagnostics)
+    assert bool(one.run.diagnostics) == (one.run.updates > 0)
     jax.tree.map(np.testing.assert_array_equal, one.train, other.train)
     assert one.boundary == other.boundary
     assert one.run.recordings.keys() == other.run.recordings.keys() >= {"best"}
@@ -59,7 +70,9 @@ def _assert_same(one, other):
 
 @pytest.fixture(scope="module")
 def uninterrupted():
-    return _finish(_rollout(_SPECS, 6, None))
+    finished = _finish(_rollout(_SPECS, 6, None))
+    assert any(run.run.diagnostics for run in finished.values())
+    return finished
 
 
 @pytest.fixture(scope="module")
