@@ -1,6 +1,5 @@
 """Figures from whatever is there: full results, early ones, one seed, nothing."""
 
-import os
 import subprocess
 import sys
 import xml.etree.ElementTree
@@ -10,72 +9,22 @@ import matplotlib
 import matplotlib.style
 import numpy as np
 import pytest
+from example_figures import CONFIG, NAMES, save
 from example_training import make_training
-from matplotlib.figure import Figure
 
-from hitl_jax.analysis import alarm_figures, figure_data, figures
+from hitl_jax.analysis import figure_data, figures
 from hitl_jax.analysis.figures import draw_all
-from hitl_jax.benchmarks import scaling
 from hitl_jax.commands import figures as command
 from hitl_jax.console.cli import run_main
-from hitl_jax.errors import ResultsError
-from hitl_jax.results import atomic_files
-from hitl_jax.results.episode_tables import METHODS, PROGRESS_COLUMNS, TEST_COLUMNS
+from hitl_jax.results.episode_tables import METHODS
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.run_key import RunKey
-from hitl_jax.studies.ablations import figure
-from hitl_jax.studies.ablations.options import AblationOptions
-from hitl_jax.studies.ablations.runs import runs_of, settings_of
-from hitl_jax.studies.ablations.settings import ABLATIONS
-from hitl_jax.studies.ablations.store import _MEASURES, Store
-from hitl_jax.studies.ablations.write import write_ablation
-from hitl_jax.sweep.background_figures import draw
-
-CONFIG = {
-    "agent": {"indicator": "hull_angle", "boundary_source": "rule"},
-    "hyper": {"initial_boundary": 0.7, "delta_minus": 1e-3, "delta_plus": 1e-3},
-}
-INFO = {"config": CONFIG, "versions": {}, "commit": None, "updates": 1}
-NAMES = (
-    "figure4_training",
-    "figure4_steps",
-    "figure5_test",
-    "figure5_progress",
-    "figure6_boundary",
-    "figure6_moves",
-    "figure7_human",
-)
-
-
-def make_tests(method: str, modes: tuple[str, ...] = ("autonomous", "assisted")) -> dict[str, Any]:
-    mode = [mode for mode in modes for _ in range(5)]
-    columns = dict.fromkeys(TEST_COLUMNS, np.zeros(len(mode))) | {"end": ["goal"] * len(mode)}
-    return columns | {"mode": mode, "return": 200.0 + 10.0 * np.arange(len(mode))}
-
-
-def save(
-    folder: ResultsFolder, method: str, seed: int, diverged: int | None = None, **modes: Any
-) -> None:
-    info = INFO | {"wall_seconds": 1.0, "env_steps": 1}
-    if diverged is not None:
-        info |= {"diverged": {"quantity": "action", "env_steps": 1, "episodes": diverged}}
-    tests = make_tests(method, **modes)
-    progress = {name: tests[name] for name in PROGRESS_COLUMNS[1:]}
-    progress["trained"] = [50 if mode == "autonomous" else 100 for mode in tests["mode"]]
-    folder.save_run(RunKey(method, seed), make_training(method, seed), tests, {}, info, progress)
 
 
 def text_of(figure) -> str:
     legends = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     labels = [f"{axes.get_xlabel()} {axes.get_ylabel()}" for axes in figure.axes]
     return "\n".join(legends + labels)
-
-
-@pytest.fixture
-def folder(tmp_path):
-    folder = ResultsFolder(tmp_path / "out")
-    folder.create_or_resume(CONFIG, "command")
-    return folder
 
 
 @pytest.fixture
@@ -264,194 +213,3 @@ def test_a_diverged_run_counts_in_returns_and_nowhere_else(folder):
     paths, notes, failures = draw_all(folder)
     assert notes == failures == []
     assert len(paths) == 2 * len(NAMES)
-
-
-# ------------------------------------------------------------------- the user's own settings
-
-_SETTINGS = {
-    "text.usetex": True,
-    "font.family": "serif",
-    "lines.linewidth": 9.0,
-    "axes.grid": False,
-    "savefig.bbox": "tight",
-    "savefig.transparent": True,
-    "svg.fonttype": "none",
-    "path.simplify": False,
-    "axes.formatter.use_locale": True,
-}
-_ENVIRONMENTS = (
-    {"MPLBACKEND": "module://matplotlib_inline.backend_inline"},
-    {"MPLBACKEND": "nonsense"},
-    {"MPLBACKEND": "pgf"},
-    {"MPLCONFIGDIR": "/proc/nowhere", "HOME": "/proc/nowhere"},
-)
-
-
-def _pictures(folder):
-    return {path.name: path.read_bytes() for path in sorted((folder.path / "figures").iterdir())}
-
-
-def _draw(folder):
-    """As the command does."""
-    return draw_all(folder)
-
-
-@pytest.fixture
-def plain(folder):
-    """A folder with the two figures that it has data for, drawn without any settings."""
-    folder.write_partial(RunKey("srl", 0), make_training("srl", 0))
-    drawn = _draw(folder)
-    assert len(drawn.paths) == 4 and drawn.failures == []
-    return folder
-
-
-@pytest.mark.parametrize("theirs", ["text.usetex", "dark_background", "all"])
-def test_settings_of_the_users_process_change_no_figure(plain, theirs):
-    before = _pictures(plain)
-    with matplotlib.rc_context():
-        if theirs in matplotlib.style.available:
-            matplotlib.style.use(theirs)
-        else:
-            matplotlib.rcParams.update(
-                _SETTINGS if theirs == "all" else {theirs: _SETTINGS[theirs]}
-            )
-        kept = dict(matplotlib.rcParams)
-        assert _draw(plain).failures == []
-        assert dict(matplotlib.rcParams) == kept
-    assert _pictures(plain) == before
-
-
-@pytest.mark.parametrize("environment", _ENVIRONMENTS)
-def test_settings_of_the_users_machine_change_no_figure(plain, environment, tmp_path):
-    before = _pictures(plain)
-    for path in plain.path.glob("figures/*"):
-        path.unlink()
-    theirs = "".join(f"{name}: {value}\n" for name, value in _SETTINGS.items())
-    (tmp_path / "matplotlibrc").write_text(f"backend: nonsense\nnonsense.key: 1\n{theirs}")
-    done = subprocess.run(
-        [sys.executable, "-m", "hitl_jax", "figures", str(plain.path)],
-        cwd=tmp_path,
-        env=os.environ | environment | {"PYTHONPATH": os.pathsep.join([os.getcwd(), *sys.path])},
-        capture_output=True,
-        encoding="utf-8",
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "Traceback" not in done.stderr
-    assert _pictures(plain) == before
-
-
-def test_a_matplotlibrc_that_is_no_text_is_one_line(plain, tmp_path):
-    (tmp_path / "matplotlibrc").write_bytes(b"font.family: caf\xe9\n")
-    done = subprocess.run(
-        [sys.executable, "-m", "hitl_jax", "figures", str(plain.path)],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join([os.getcwd(), *sys.path])},
-        capture_output=True,
-        encoding="utf-8",
-        check=False,
-    )
-    assert done.returncode == 1
-    assert "Traceback" not in done.stderr
-    [line] = done.stdout.splitlines()
-    assert line.startswith(", ".join(NAMES) + ": could not be drawn: UnicodeDecodeError: ")
-
-
-@pytest.mark.parametrize(("backend", "after"), [("svg", "svg"), ("nonsense", None)])
-def test_the_users_backend_stays_theirs(backend, after):
-    code = (
-        "import os\nfrom hitl_jax.analysis.figure_style import import_matplotlib, panels, style\n"
-        "with style(): panels(1, 1, (1.0, 1.0))\n"
-        "print(import_matplotlib().get_backend(auto_select=False), os.environ['MPLBACKEND'])"
-    )
-    environment = os.environ | {"MPLBACKEND": backend}
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=environment,
-        capture_output=True,
-        encoding="utf-8",
-        check=True,
-    )
-    assert done.stdout == f"{after} {backend}\n"
-
-
-def test_help_needs_no_matplotlib():
-    code = (
-        "import importlib, sys\nfrom hitl_jax.__main__ import _COMMANDS\n"
-        "for module, _ in _COMMANDS.values():\n"
-        "    importlib.import_module(f'hitl_jax.commands.{module}')\n"
-        "assert 'matplotlib' not in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
-# ------------------------------------------------------------- figures that cannot be drawn
-
-
-def _fails(*_, **__):
-    raise RuntimeError("there is\nno font")
-
-
-def test_a_figure_that_cannot_be_drawn_costs_no_other(plain, monkeypatch, capsys):
-    for path in plain.path.glob("figures/*"):
-        path.unlink()
-    monkeypatch.setitem(figures.DRAWINGS, "figure4_training", _fails)
-    assert run_main("figures", command.main, [str(plain.path)]) == 1
-    told = capsys.readouterr().out.splitlines()
-    assert told[-1] == "figure4_training: could not be drawn: RuntimeError: there is no font"
-    assert {path.stem for path in plain.path.glob("figures/*")} == {"figure4_steps"}
-    [*_, told] = draw(plain)
-    assert "figure4_training: could not be drawn" in told
-    assert (plain.path / "summary.md").exists()
-
-
-@pytest.mark.parametrize("error", [MemoryError("much"), ValueError("x"), OSError(2, "no font")])
-def test_a_picture_that_cannot_be_made_is_told(plain, error, monkeypatch):
-    real = Figure.savefig
-
-    def savefig(figure, *arguments, **options):
-        if options["format"] == "svg":
-            raise error
-        real(figure, *arguments, **options)
-
-    monkeypatch.setattr(Figure, "savefig", savefig)
-    drawn = draw_all(plain)
-    assert drawn.paths == []
-    assert [line.split(":")[0] for line in drawn.failures] == ["figure4_training", "figure4_steps"]
-    assert type(error).__name__ in drawn.failures[0]
-
-
-def test_without_matplotlib_there_is_one_line(plain, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    [told] = draw_all(plain).failures
-    assert told.startswith(", ".join(NAMES) + ": could not be drawn: ModuleNotFoundError: ")
-
-
-def test_a_full_disk_is_the_folders_error(plain, monkeypatch):
-    def full(descriptor, data):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(atomic_files, "write_synced", full)
-    with pytest.raises(ResultsError, match=r"figure4_training\.png: No space left on device"):
-        draw_all(plain)
-
-
-def test_the_other_drawings_cost_nothing_either(tmp_path, monkeypatch):
-    """Of an ablation, of the benchmark, of alarms."""
-    monkeypatch.setattr(figure, "draw_rows", _fails)
-    options = AblationOptions(name="methods", seeds=1)
-    store = Store(tmp_path / "runs.csv")
-    setting, parts = next(settings_of(ABLATIONS["methods"]))
-    [run, *_] = runs_of(setting, parts, options)
-    store.add(run, dict.fromkeys(_MEASURES, 1.0) | {"commit": "abc"})
-    written = write_ablation("methods", options, store)
-    assert written.table
-    assert written.failures == ["methods: could not be drawn: RuntimeError: there is no font"]
-    assert (tmp_path / "methods.md").exists()
-    monkeypatch.setattr(scaling, "draw_rows", _fails)
-    [told] = scaling.draw_scaling([], str(tmp_path / "scaling.svg"))
-    assert "scaling.svg: could not be drawn: " in told
-    monkeypatch.setattr(alarm_figures, "_figure", _fails)
-    (tmp_path / alarm_figures.DATA).write_text(",".join(alarm_figures.COLUMNS) + "\n")
-    [told] = alarm_figures.draw(ResultsFolder(tmp_path)).failures
-    assert told == "figure8_alarms: could not be drawn: RuntimeError: there is no font"

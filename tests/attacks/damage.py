@@ -23,7 +23,8 @@ from typing import Any
 sys.path += [str(pathlib.Path(__file__).parents[1]), str(pathlib.Path(__file__).parents[2])]
 
 import numpy as np
-from formats import FORMATS, Format, make
+from formats import FORMATS, Format
+from made_files import make
 
 _SLOW = 10.0
 _LONGEST_LINE = 1500

@@ -24,7 +24,8 @@ _READERS = (
 )
 with atheris.instrument_imports(include=[f"hitl_jax.{name}" for name in _READERS.split()]):
     from damage import _read, plain
-    from formats import FORMATS, make
+    from formats import FORMATS
+    from made_files import make
 
 
 def main() -> None:

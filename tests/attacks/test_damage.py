@@ -2,7 +2,8 @@
 
 import pytest
 from damage import attack, read_all
-from formats import FORMATS, make
+from formats import FORMATS
+from made_files import make
 
 _EACH = 12
 """Damages of each format here; the command has as many as asked for."""

@@ -1,5 +1,4 @@
 import dataclasses
-import functools
 import math
 
 import chex
@@ -9,47 +8,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from judging import (
+    DELAYED,
+    FALSE,
+    KEY,
+    SIMULATED,
+    bools,
+    judge,
+    observation,
+    outcome,
+    quick,
+    run_part,
+)
 
 from hitl_jax import human
 from hitl_jax.human.judgement import HumanParams
-
-KEY = jax.random.key(0)
-FALSE = jnp.zeros((), bool)
-STILL = jnp.zeros(24)
-DELAYED, ATTENTIVE = human.delayed(9), human.attentive()
-SIMULATED = human.simulated_human()
-outcome = jax.jit(human.outcome_dangerous)
-quick = hypothesis.settings(max_examples=40, deadline=None, derandomize=True)
-
-
-def _bools(text):
-    return np.array([letter == "1" for letter in text])
-
-
-def _observation(angle, velocity=0.0):
-    """Of a hull at `angle` [rad] that turns at `velocity` [rad/s]."""
-    return jnp.zeros(24).at[0].set(angle).at[1].set(velocity / 25)
-
-
-def _judge(part, params, dangerous, state=None, eager=True):
-    """Feeds judgements [T] to a part, and lets an intervention begin where the part agrees.
-
-    Returns:
-        The part's judgements [T] and its last state.
-    """
-    state = part.init() if state is None else state
-    state, after = _scan_judgements(part, params, jnp.asarray(dangerous), state, eager)
-    return np.asarray(after), state
-
-
-@functools.partial(jax.jit, static_argnames="part")
-def _scan_judgements(part, params, dangerous, state, eager):
-    def step(state, inputs):
-        key, before = inputs
-        state, after = part.judge(state, params, STILL, before, key)
-        return part.notify(state, params, jnp.logical_and(after, eager)), after
-
-    return jax.lax.scan(step, state, (jax.random.split(KEY, len(dangerous)), dangerous))
 
 
 class TestDanger:
@@ -61,13 +34,13 @@ class TestDanger:
         params = HumanParams(tolerance=0.45)
         # The velocity and what was judged before do not matter.
         for before in (False, True):
-            seen = _observation(angle, velocity=9.0)
+            seen = observation(angle, velocity=9.0)
             _, dangerous = part.judge(part.init(), params, seen, jnp.array(before), KEY)
             assert bool(dangerous) is expected
 
     def test_threshold_includes_the_tolerance(self):
         part = human.threshold()
-        seen = _observation(0.5)
+        seen = observation(0.5)
         assert bool(part.judge(part.init(), HumanParams(tolerance=0.5), seen, FALSE, KEY)[1])
 
     @pytest.mark.parametrize(
@@ -83,13 +56,13 @@ class TestDanger:
     def test_predictive_looks_ahead(self, angle, velocity, expected):
         part = human.predictive()
         params = HumanParams(tolerance=0.45, horizon=0.2)
-        _, dangerous = part.judge(part.init(), params, _observation(angle, velocity), FALSE, KEY)
+        _, dangerous = part.judge(part.init(), params, observation(angle, velocity), FALSE, KEY)
         assert bool(dangerous) is expected
 
     @quick
     @hypothesis.given(st.floats(-2, 2, width=32), st.floats(-5, 5, width=32))
     def test_no_horizon_is_the_threshold(self, angle, velocity):
-        seen = _observation(angle, velocity)
+        seen = observation(angle, velocity)
         params = HumanParams(horizon=0.0)
         answers = [
             bool(part.judge(part.init(), params, seen, FALSE, KEY)[1])
@@ -104,24 +77,24 @@ class TestDelay:
         [(0, "1011000"), (1, "0101100"), (2, "0010110"), (4, "0000101"), (9, "0000000")],
     )
     def test_by_hand(self, delay, expected):
-        judged, _ = _judge(DELAYED, HumanParams(delay=delay), _bools("1011000"))
-        np.testing.assert_array_equal(judged, _bools(expected))
+        judged, _ = judge(DELAYED, HumanParams(delay=delay), bools("1011000"))
+        np.testing.assert_array_equal(judged, bools(expected))
 
     def test_an_episode_forgets(self):
         part, params = human.delayed(4), HumanParams(delay=2)
-        _, state = _judge(part, params, _bools("111"))
-        judged, _ = _judge(part, params, _bools("100"), part.begin_episode(state))
-        np.testing.assert_array_equal(judged, _bools("001"))
+        _, state = judge(part, params, bools("111"))
+        judged, _ = judge(part, params, bools("100"), part.begin_episode(state))
+        np.testing.assert_array_equal(judged, bools("001"))
 
     @quick
     @hypothesis.given(st.lists(st.booleans(), min_size=12, max_size=12), st.integers(0, 9))
     def test_is_a_shift(self, dangerous, delay):
-        judged, _ = _judge(DELAYED, HumanParams(delay=delay), np.array(dangerous))
+        judged, _ = judge(DELAYED, HumanParams(delay=delay), np.array(dangerous))
         np.testing.assert_array_equal(judged, ([False] * delay + dangerous)[:12])
 
     def test_a_longer_delay_is_cut_down(self):
-        judged, _ = _judge(human.delayed(2), HumanParams(delay=5), _bools("10000"))
-        np.testing.assert_array_equal(judged, _bools("00100"))
+        judged, _ = judge(human.delayed(2), HumanParams(delay=5), bools("10000"))
+        np.testing.assert_array_equal(judged, bools("00100"))
 
     def test_a_negative_memory_is_refused(self):
         with pytest.raises(ValueError, match="max_delay -1"):
@@ -134,7 +107,7 @@ class TestMistakesAndLapses:
     @pytest.mark.parametrize("rate", [0.05, 0.5, 0.9])
     @pytest.mark.parametrize("dangerous", [False, True])
     def test_rate_of_mistakes(self, rate, dangerous):
-        judged, _ = _judge(
+        judged, _ = judge(
             human.mistaken(), HumanParams(mistake_rate=rate), np.full(self.N, dangerous)
         )
         flipped = judged != dangerous
@@ -146,18 +119,18 @@ class TestMistakesAndLapses:
     @pytest.mark.parametrize("rate", [0.05, 0.5])
     def test_rate_of_lapses(self, rate):
         params = HumanParams(lapse_rate=rate)
-        judged, _ = _judge(human.lapsing(), params, np.ones(self.N, bool))
+        judged, _ = judge(human.lapsing(), params, np.ones(self.N, bool))
         assert abs((1 - judged.mean()) - rate) < 4 * math.sqrt(rate * (1 - rate) / self.N)
-        judged, _ = _judge(human.lapsing(), params, np.zeros(self.N, bool))
+        judged, _ = judge(human.lapsing(), params, np.zeros(self.N, bool))
         assert not judged.any()
 
     def test_the_ends_are_exact(self):
-        dangerous = _bools("0110" * 50)
+        dangerous = bools("0110" * 50)
         for rate, expected in ((0.0, dangerous), (1.0, ~dangerous)):
-            judged, _ = _judge(human.mistaken(), HumanParams(mistake_rate=rate), dangerous)
+            judged, _ = judge(human.mistaken(), HumanParams(mistake_rate=rate), dangerous)
             np.testing.assert_array_equal(judged, expected)
         for rate, expected in ((0.0, dangerous), (1.0, np.zeros(200, bool))):
-            judged, _ = _judge(human.lapsing(), HumanParams(lapse_rate=rate), dangerous)
+            judged, _ = judge(human.lapsing(), HumanParams(lapse_rate=rate), dangerous)
             np.testing.assert_array_equal(judged, expected)
 
     def test_mistakes_and_lapses_do_not_share_their_draws(self):
@@ -165,99 +138,27 @@ class TestMistakesAndLapses:
         rate, lapse = 0.3, 0.4
         params = HumanParams(mistake_rate=rate, lapse_rate=lapse)
         part = human.chain(human.mistaken(), human.lapsing())
-        judged, _ = _judge(part, params, np.zeros(self.N, bool))
+        judged, _ = judge(part, params, np.zeros(self.N, bool))
         expected = rate * (1 - lapse)
         assert abs(judged.mean() - expected) < 4 * math.sqrt(expected * (1 - expected) / self.N)
 
 
-class TestAttention:
-    @pytest.mark.parametrize(
-        ("budget", "rest", "expected"),
-        [
-            (human.UNLIMITED, 0, "0111101101"),
-            (2, 0, "0110000000"),
-            (human.UNLIMITED, 2, "0100100100"),
-            (2, 2, "0100100000"),
-            (0, 0, "0000000000"),
-        ],
-    )
-    def test_by_hand(self, budget, rest, expected):
-        params = HumanParams(max_interventions=budget, refractory_steps=rest)
-        judged, _ = _judge(ATTENTIVE, params, _bools("0111101101"))
-        np.testing.assert_array_equal(judged, _bools(expected))
-
-    def test_agreement_alone_costs_nothing(self):
-        params = HumanParams(max_interventions=1, refractory_steps=5)
-        dangerous = np.ones(20, bool)
-        judged, state = _judge(ATTENTIVE, params, dangerous, eager=False)
-        assert judged.all()
-        assert int(state.used) == 0
-
-    def test_budget_and_rest_outlast_the_episode(self):
-        part = ATTENTIVE
-        params = HumanParams(max_interventions=2, refractory_steps=3)
-        _, state = _judge(part, params, _bools("001"))
-        judged, state = _judge(part, params, _bools("11111111"), part.begin_episode(state))
-        np.testing.assert_array_equal(judged, _bools("00010000"))
-        judged, _ = _judge(part, params, _bools("11111111"), part.begin_episode(state))
-        assert not judged.any()
-
-    def _take_over(self, params, dangerous, state=None):
-        """A takeover lasts while the human sees danger; `notify` is told of it."""
-        state = ATTENTIVE.init() if state is None else state
-        judged, control = [], False
-        for before in dangerous:
-            state, after = ATTENTIVE.judge(state, params, STILL, jnp.array(before), KEY)
-            began, control = bool(after) and not control, bool(after)
-            state = ATTENTIVE.notify(state, params, jnp.array(began), jnp.array(control))
-            judged.append(control)
-        return judged, state
-
-    def test_an_intervention_under_way_is_seen_through(self):
-        # Begun at steps 1 and 8; at rest in the 2 steps after step 3; then the budget is spent.
-        params = HumanParams(max_interventions=2, refractory_steps=2)
-        judged, state = self._take_over(params, _bools("0111010011100011"))
-        np.testing.assert_array_equal(judged, _bools("0111000011100000"))
-        assert int(state.used) == 2
-
-    def test_an_episode_ends_the_intervention(self):
-        params = HumanParams(max_interventions=1)
-        judged, state = self._take_over(params, _bools("11"))
-        assert judged == [True, True]
-        judged, _ = self._take_over(params, _bools("11"), ATTENTIVE.begin_episode(state))
-        assert judged == [False, False]
-
-    @quick
-    @hypothesis.given(
-        st.lists(st.booleans(), min_size=30, max_size=30), st.integers(0, 5), st.integers(0, 6)
-    )
-    def test_never_more_nor_sooner(self, dangerous, budget, rest):
-        params = HumanParams(max_interventions=budget, refractory_steps=rest)
-        judged, _ = _judge(ATTENTIVE, params, np.array(dangerous))
-        steps = np.flatnonzero(judged)
-        assert len(steps) <= budget
-        assert (np.diff(steps) > rest).all()
-        assert not (judged & ~np.array(dangerous)).any()
-        if budget and any(dangerous):
-            assert steps[0] == dangerous.index(True)
-
-
 class TestRecorded:
     def test_plays_on_over_episodes_and_ends_safe(self):
-        part = human.recorded(_bools("10110"))
-        judged, state = _judge(part, HumanParams(), np.zeros(3, bool))
-        np.testing.assert_array_equal(judged, _bools("101"))
-        judged, state = _judge(part, HumanParams(), np.ones(6, bool), part.begin_episode(state))
-        np.testing.assert_array_equal(judged, _bools("100000"))
+        part = human.recorded(bools("10110"))
+        judged, state = judge(part, HumanParams(), np.zeros(3, bool))
+        np.testing.assert_array_equal(judged, bools("101"))
+        judged, state = judge(part, HumanParams(), np.ones(6, bool), part.begin_episode(state))
+        np.testing.assert_array_equal(judged, bools("100000"))
         assert int(state) == 5
 
     def test_an_empty_log_is_safe(self):
-        judged, _ = _judge(human.recorded(np.zeros(0, bool)), HumanParams(), np.ones(3, bool))
+        judged, _ = judge(human.recorded(np.zeros(0, bool)), HumanParams(), np.ones(3, bool))
         assert not judged.any()
 
     def test_a_log_for_each_run(self):
-        logs = jnp.array([_bools("1100"), _bools("0011")])
-        judged = jax.vmap(lambda log: _run(human.recorded(log), HumanParams(), KEY, 4))(logs)
+        logs = jnp.array([bools("1100"), bools("0011")])
+        judged = jax.vmap(lambda log: run_part(human.recorded(log), HumanParams(), KEY, 4))(logs)
         np.testing.assert_array_equal(judged, logs)
 
     @pytest.mark.parametrize("log", [np.zeros(3), np.zeros((2, 3), bool), np.array(True)])
@@ -266,38 +167,22 @@ class TestRecorded:
             human.recorded(log)
 
 
-def _run(part, params, key, num_steps, angles=None):
-    """A part's judgements [T] of a hull at `angles` [T], without interventions."""
-    angles = jnp.zeros(num_steps) if angles is None else angles
-    return _scan_angles(part, params, key, angles)
-
-
-@functools.partial(jax.jit, static_argnames="part")
-def _scan_angles(part, params, key, angles):
-    def step(state, inputs):
-        key, angle = inputs
-        state, dangerous = part.judge(state, params, _observation(angle), FALSE, key)
-        return part.notify(state, params, FALSE), dangerous
-
-    return jax.lax.scan(step, part.init(), (jax.random.split(key, len(angles)), angles))[1]
-
-
 class TestComposition:
     def test_the_order(self):
         """Danger, delay, mistakes, lapses, attention: each order but this gives another answer."""
-        log = human.recorded(_bools("100000"))
+        log = human.recorded(bools("100000"))
         tail = (human.mistaken(), human.lapsing(), human.attentive())
         part = human.chain(log, human.delayed(4), *tail)
         # Delay before mistakes: the delayed "100" is 0010, flipped 1101. The other way round, the
         # first steps of an episode would be safe: 0001.
         params = HumanParams(delay=2, mistake_rate=1.0)
-        np.testing.assert_array_equal(_run(part, params, KEY, 4), _bools("1101"))
+        np.testing.assert_array_equal(run_part(part, params, KEY, 4), bools("1101"))
         # Lapses after mistakes: never danger. The other way round: always.
         params = HumanParams(delay=2, mistake_rate=1.0, lapse_rate=1.0)
-        assert not _run(part, params, KEY, 4).any()
+        assert not run_part(part, params, KEY, 4).any()
         # Attention after mistakes: patience spent stays spent.
         params = HumanParams(mistake_rate=1.0, max_interventions=0)
-        assert not _run(part, params, KEY, 4).any()
+        assert not run_part(part, params, KEY, 4).any()
 
     @pytest.mark.parametrize(
         ("params", "expected"),
@@ -314,36 +199,38 @@ class TestComposition:
     )
     def test_the_simulated_human_by_hand(self, params, expected):
         angles = jnp.array([0.0, 0.6, -0.7, 0.1, 0.0, 0.6, -0.7, 0.1])
-        np.testing.assert_array_equal(_run(SIMULATED, params, KEY, 8, angles), _bools(expected))
+        np.testing.assert_array_equal(run_part(SIMULATED, params, KEY, 8, angles), bools(expected))
 
     def test_is_the_chain_of_its_parts(self):
         assert len(human.simulated_human().init()) == 5
         params = HumanParams(mistake_rate=0.3, lapse_rate=0.3, delay=3)
         parts = (human.predictive(), human.delayed(8), human.mistaken(), human.lapsing())
         angles = jax.random.normal(KEY, (200,))
-        ours = _run(human.simulated_human("predictive", 8), params, KEY, 200, angles)
+        ours = run_part(human.simulated_human("predictive", 8), params, KEY, 200, angles)
         np.testing.assert_array_equal(
-            ours, _run(human.chain(*parts, human.attentive()), params, KEY, 200, angles)
+            ours, run_part(human.chain(*parts, human.attentive()), params, KEY, 200, angles)
         )
 
     def test_a_chain_in_a_chain_and_a_part_alone(self):
         angles = jnp.array([0.0, 0.6, -0.7, 0.1])
-        alone = _run(human.threshold(), HumanParams(), KEY, 4, angles)
+        alone = run_part(human.threshold(), HumanParams(), KEY, 4, angles)
         inner = human.chain(human.threshold(), human.delayed(2))
-        nested = _run(human.chain(inner, human.attentive()), HumanParams(delay=1), KEY, 4, angles)
-        np.testing.assert_array_equal(alone, _bools("0110"))
-        np.testing.assert_array_equal(nested, _bools("0011"))
+        nested = run_part(
+            human.chain(inner, human.attentive()), HumanParams(delay=1), KEY, 4, angles
+        )
+        np.testing.assert_array_equal(alone, bools("0110"))
+        np.testing.assert_array_equal(nested, bools("0011"))
 
     def test_the_chain_passes_on_what_happened(self):
         part = human.chain(human.threshold(), human.attentive())
         params = HumanParams(max_interventions=1)
-        state, dangerous = part.judge(part.init(), params, _observation(1.0), FALSE, KEY)
+        state, dangerous = part.judge(part.init(), params, observation(1.0), FALSE, KEY)
         assert bool(dangerous)
         state = part.notify(state, params, jnp.array(True), jnp.array(True))
         # Still in control: seen through. Then spent, in the next episode too.
-        assert bool(part.judge(state, params, _observation(1.0), FALSE, KEY)[1])
+        assert bool(part.judge(state, params, observation(1.0), FALSE, KEY)[1])
         state = part.begin_episode(state)
-        assert not bool(part.judge(state, params, _observation(1.0), FALSE, KEY)[1])
+        assert not bool(part.judge(state, params, observation(1.0), FALSE, KEY)[1])
 
     def test_an_unknown_danger_is_refused(self):
         with pytest.raises(ValueError, match="danger outcome: must be one of threshold, predict"):
@@ -368,7 +255,7 @@ class HumanVariants(chex.TestCase):
         angles = jax.random.normal(jax.random.key(1), (len(humans), num_steps))
 
         def step(state, params, angle, key):
-            state, dangerous = part.judge(state, params, _observation(angle, 0.5), FALSE, key)
+            state, dangerous = part.judge(state, params, observation(angle, 0.5), FALSE, key)
             return part.notify(state, params, dangerous), dangerous
 
         step = chex.assert_max_traces(step, 1) if self.variant.type.name == "WITH_JIT" else step
@@ -391,7 +278,7 @@ class HumanVariants(chex.TestCase):
 def _alone(part, params, angles, key):
     def step(state, inputs):
         t, angle = inputs
-        seen = _observation(angle, 0.5)
+        seen = observation(angle, 0.5)
         state, dangerous = part.judge(state, params, seen, FALSE, jax.random.fold_in(key, t))
         return part.notify(state, params, dangerous), dangerous
 
@@ -403,7 +290,7 @@ class TestParams:
         params = HumanParams()
         human.validate_human_params(params)
         angles = jax.random.normal(KEY, (200,))
-        judged = _run(SIMULATED, params, KEY, 200, angles)
+        judged = run_part(SIMULATED, params, KEY, 200, angles)
         np.testing.assert_array_equal(judged, np.abs(angles) >= 0.45)
 
     @pytest.mark.parametrize(
@@ -442,11 +329,11 @@ class TestParams:
 class TestOutcome:
     def test_by_hand(self):
         # The fifth step ends in a fall: of 3 steps from s_2, s_3 or s_4, one is the fifth.
-        fell = _bools("00001")
-        np.testing.assert_array_equal(human.outcome_dangerous(fell, 3), _bools("00111"))
+        fell = bools("00001")
+        np.testing.assert_array_equal(human.outcome_dangerous(fell, 3), bools("00111"))
         np.testing.assert_array_equal(human.outcome_dangerous(fell, 1), fell)
-        np.testing.assert_array_equal(human.outcome_dangerous(fell, 0), _bools("00000"))
-        np.testing.assert_array_equal(human.outcome_dangerous(fell, 99), _bools("11111"))
+        np.testing.assert_array_equal(human.outcome_dangerous(fell, 0), bools("00000"))
+        np.testing.assert_array_equal(human.outcome_dangerous(fell, 99), bools("11111"))
         assert not human.outcome_dangerous(np.zeros(5, bool), 3).any()
 
     @quick

@@ -2,9 +2,9 @@
 
 import re
 import shutil
-import time
 
 import pytest
+from browser_page import PATIENCE, comes_to_frame, drawn_frame, wait_until
 from live_team import HYPER, Served, setup_of
 
 from hitl_jax.evaluation.trials import frozen
@@ -20,13 +20,12 @@ _BROWSER = next(filter(None, map(shutil.which, _BROWSERS)), None)
 if _BROWSER is None:
     pytest.skip(f"there is no browser: none of {', '.join(_BROWSERS)}", allow_module_level=True)
 
-_PATIENCE = 30_000  # Of what is waited for [ms]; nothing takes that long unless it fails.
 _NO_ALARM = HYPER.replace(initial_boundary=1.5, delta_minus=0.0)
 
 
 @pytest.fixture(scope="module")
 def browser():
-    expect.set_options(timeout=_PATIENCE)
+    expect.set_options(timeout=PATIENCE)
     with playwright.sync_playwright() as tools:
         one = tools.chromium.launch(executable_path=_BROWSER, args=["--no-sandbox"])
         yield one
@@ -37,7 +36,7 @@ def browser():
 def page(browser):
     """A window; what goes wrong in its script fails the test."""
     one = browser.new_page(viewport={"width": 1280, "height": 720})
-    one.set_default_timeout(_PATIENCE)
+    one.set_default_timeout(PATIENCE)
     wrong = []
     one.on("pageerror", lambda error: wrong.append(str(error)))
     yield one
@@ -68,22 +67,6 @@ def _shows(page, name, text):
     expect(page.locator(f"#{name}")).to_have_text(text)
 
 
-def _comes_to(page, number):
-    """Waits until the page has drawn a frame that comes after one."""
-    _until(page, lambda: _drawn(page) > number)
-
-
-def _drawn(page):
-    return int(page.locator("html").get_attribute("data-frame"))
-
-
-def _until(page, true):
-    end = time.monotonic() + _PATIENCE / 1000
-    while not true():
-        assert time.monotonic() < end
-        page.wait_for_timeout(20)
-
-
 def _said(served, *kinds):
     return [said for said in served.said() if said["type"] in kinds]
 
@@ -98,7 +81,7 @@ def test_the_page_shows_the_walker(page, served):
     _shows(page, "control", "machine")
     _shows(page, "gauge-name", "hull angle")
     _shows(page, "boundary", "±1.500 rad")
-    _comes_to(page, 20)
+    comes_to_frame(page, 20)
     expect(page.locator("#request")).to_be_hidden()
     expect(page.locator("#take")).to_be_enabled()
     expect(page.locator("#hip1-plus")).to_be_disabled()
@@ -109,8 +92,8 @@ def test_danger_lasts_as_long_as_its_key(page, served):
     _open(page, served)
     page.keyboard.down("d")
     _shows(page, "judgement", "danger")
-    began = _drawn(page)
-    _comes_to(page, began + 3)
+    began = drawn_frame(page)
+    comes_to_frame(page, began + 3)
     page.keyboard.up("d")
     _shows(page, "judgement", "safe")
     [down, up] = _said(served, "danger")
@@ -157,12 +140,12 @@ def test_a_person_takes_over_moves_and_lets_go(page, served):
     _shows(page, "control", "person")
     _shows(page, "take-text", "Let go")
     page.keyboard.down("q")
-    _until(page, lambda: len(_said(served, "hands")) == 2)
+    wait_until(page, lambda: len(_said(served, "hands")) == 2)
     first = served.session.frame.number
-    _comes_to(page, first + 3)
+    comes_to_frame(page, first + 3)
     stop = served.session.frame.number
     page.keyboard.up("q")
-    _until(page, lambda: len(_said(served, "hands")) == 3)
+    wait_until(page, lambda: len(_said(served, "hands")) == 3)
     page.keyboard.press("t")
     _shows(page, "control", "machine")
     _shows(page, "take-text", "Take over")
@@ -183,12 +166,12 @@ def test_the_assistant_walks_while_its_key_is_held(page, served):
     page.locator("#take").click()
     _shows(page, "control", "person")
     page.keyboard.down("g")
-    _until(page, lambda: len(_said(served, "assist")) == 1)
+    wait_until(page, lambda: len(_said(served, "assist")) == 1)
     first = served.session.frame.number
-    _comes_to(page, first + 3)
+    comes_to_frame(page, first + 3)
     assert served.session.actions(first, first + 3).any()
     page.keyboard.up("g")
-    _until(page, lambda: len(_said(served, "assist")) == 2)
+    wait_until(page, lambda: len(_said(served, "assist")) == 2)
     assert [said["on"] for said in _said(served, "assist")] == [True, False]
 
 
@@ -206,11 +189,11 @@ def test_the_clock_stops_and_goes_by_single_steps(page, served):
     assert served.session.frame.number == held + 2
     page.locator("#pause").click()
     page.wait_for_selector('[data-paused="false"]')
-    _comes_to(page, held + 5)
+    comes_to_frame(page, held + 5)
     # Twice at once is on and off again, though the server has not answered in between.
     page.keyboard.press("Space")
     page.keyboard.press("Space")
-    _until(page, lambda: len(_said(served, "pause")) == 4)
+    wait_until(page, lambda: len(_said(served, "pause")) == 4)
     assert [said["on"] for said in _said(served, "pause")] == [True, False, True, False]
 
 
@@ -219,12 +202,12 @@ def test_the_clock_goes_faster_and_slower(page, served):
     # Presses that follow at once count from each other, not from what the server told last.
     for key in ("+", "+", "+", "+"):
         page.keyboard.press(key)
-    _until(page, lambda: len(_said(served, "speed")) == 4)
+    wait_until(page, lambda: len(_said(served, "speed")) == 4)
     _shows(page, "speed", "max")
     expect(page.locator("#chart-return")).to_have_attribute("aria-label", re.compile("Episode "))
     for _ in range(5):
         page.locator("#slower").click()
-    _until(page, lambda: len(_said(served, "speed")) == 9)
+    wait_until(page, lambda: len(_said(served, "speed")) == 9)
     _shows(page, "speed", "1/2 ×")
     factors = [said["factor"] for said in _said(served, "speed")]
     assert factors == [2, 4, 8, None, 8, 4, 2, 1, 0.5]
@@ -234,14 +217,14 @@ def test_the_clock_goes_faster_and_slower(page, served):
         page.keyboard.down("Equal")
         page.keyboard.up("Shift")
         page.keyboard.up("Equal")
-    _until(page, lambda: len(_said(served, "speed")) == 11)
+    wait_until(page, lambda: len(_said(served, "speed")) == 11)
     _shows(page, "speed", "2 ×")
 
 
 def test_a_second_window_watches(browser, page, served):
     _open(page, served)
     other = browser.new_page()
-    other.set_default_timeout(_PATIENCE)
+    other.set_default_timeout(PATIENCE)
     _open(other, served)
     _shows(other, "role", "watcher")
     expect(other.locator("#danger")).to_be_disabled()
@@ -267,9 +250,9 @@ def test_the_page_finds_a_server_that_was_started_again(page, tmp_path):
         page.wait_for_selector('[data-connection="connected"]')
         expect(page.locator("#message")).to_be_hidden()
         _shows(page, "control", "machine")  # A page that was lost lets go.
-        _comes_to(page, held + 5)
+        comes_to_frame(page, held + 5)
         page.keyboard.press("d")
-        _until(page, lambda: len(_said(again, "danger")) == 2)
+        wait_until(page, lambda: len(_said(again, "danger")) == 2)
         _shows(page, "labels", "2")
         assert session.labels[-1].first > held
         kinds = [said["type"] for said in _said(again, "take", "gone", "danger")]
@@ -298,7 +281,7 @@ def test_a_page_that_stands_still_lets_go_and_says_why_it_paused(page, tmp_path)
         page.keyboard.up("d")
         page.keyboard.press("Space")
         expect(page.locator("#why-paused")).to_be_hidden()
-        _comes_to(page, stopped + 5)
+        comes_to_frame(page, stopped + 5)
         page.keyboard.press("d")
         _shows(page, "labels", "2")
         assert [said["down"] for said in _said(served, "danger")][-2:] == [True, False]
@@ -307,7 +290,7 @@ def test_a_page_that_stands_still_lets_go_and_says_why_it_paused(page, tmp_path)
 def _asked(page, session):
     """Waits until the walker asks, and the page has drawn the frame; its number."""
     expect(page.locator("#request")).to_be_visible()
-    _until(page, lambda: _drawn(page) == session.frame.number)
+    wait_until(page, lambda: drawn_frame(page) == session.frame.number)
     assert session.frame.alarmed
     return session.frame.number
 
@@ -334,14 +317,14 @@ def test_the_walker_asks_and_is_answered_or_goes_on(page, tmp_path):
         page.keyboard.press("t")
         number = _asked(page, session)
         page.locator("#request-safe").click()
-        _until(page, lambda: {"type": "safe", "frame": number} in served.said())
+        wait_until(page, lambda: {"type": "safe", "frame": number} in served.said())
         assert (session.labels[-1].kind, session.labels[-1].first) == ("safe", number)
     with Served(session, path, mode="test", asks=True, port=served.port) as again:
         page.wait_for_selector('[data-connection="connected"]')
-        _until(page, lambda: _said(again, "no_answer"))
+        wait_until(page, lambda: _said(again, "no_answer"))
         # Nobody's word is no label of theirs.
         assert len([label for label in session.labels if label.kind != "nobody"]) == 3
-        _comes_to(page, _said(again, "no_answer")[0]["frame"])
+        comes_to_frame(page, _said(again, "no_answer")[0]["frame"])
 
 
 def test_where_a_simulated_human_judges_only_the_clock_is_the_persons(page, tmp_path):
