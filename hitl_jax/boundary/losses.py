@@ -6,10 +6,8 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from hitl_jax.learner.losses import bootstrap
+from hitl_jax.learner.losses import Metrics, bootstrap
 from hitl_jax.types import BoundaryTransition, Params
-
-Metrics = dict[str, chex.Array]
 
 
 def boundary_critic_loss(

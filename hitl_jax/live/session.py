@@ -129,11 +129,6 @@ class Session:
         """Of the task learner."""
         return self._learner.updates
 
-    @property
-    def oldest_frame(self) -> int:
-        """The first frame that a label can still change."""
-        return self._store.oldest
-
     def flag(self, name: str, number: int) -> bool:
         """A flag of a frame that has been played: `alarmed`, `dangerous`, `control`, ..."""
         return self._store.flag(name, number)

@@ -1,4 +1,4 @@
-"""What the JSON of a results folder may hold: types and ranges; `documents` reads it.
+"""What the JSON of a results folder may hold, types and ranges; `json_documents` reads it.
 
 The names are those of the dataclasses that are written. Where a name may be missing, an earlier
 commit has written files without it.
@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from msgspec import UNSET, Meta, Struct, UnsetType
 
 Text = Annotated[str, Meta(max_length=10_000)]
-"""`documents` refuses control characters, which a terminal would obey."""
+"""`json_documents` refuses control characters, which a terminal would obey."""
 # No pattern is in a union with numbers: msgspec 0.19 to 0.22 reads wrong memory there, and crashes.
 
 Count = Annotated[int, Meta(ge=0, le=2**53)]
@@ -19,7 +19,8 @@ Digest = Annotated[str, Meta(pattern=r"\Asha256:[0-9a-f]{64}\Z")]
 Versions = Annotated[dict[Text, Text], Meta(max_length=100)]
 
 Config = dict[Text, Any]
-"""What a folder of anybody's experiment was made with; `documents` bounds its depth."""
+"""What a folder of anybody's experiment was made with; `json_documents` bounds its
+depth."""
 
 
 class _Agent(Struct):

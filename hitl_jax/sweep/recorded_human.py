@@ -67,7 +67,7 @@ def load_from_results(folder: ResultsFolder) -> HumanPart | None:
 
 
 def load_kept(folder: ResultsFolder) -> np.ndarray | None:
-    """What `keep` has kept, bool [T]; None where the human was simulated.
+    """What `save_to_results` has kept, bool [T]; None where the human was simulated.
 
     Raises:
         ValueError: one line, if the file is missing, damaged or another.

@@ -47,7 +47,8 @@ from hitl_jax.results.schemas import MadeBy, SaveHead
 from hitl_jax.training.saved_run import SavedRun
 
 FORMAT = 4
-"""Of a save; another one's is refused. The order of the words of `packing` is part of it."""
+"""Of a save; another one's is refused. The order of the words of `xla.pytree_words` is part of
+it."""
 
 _TABLES = ("episodes", "diagnostics")
 """Of a run's facts, as CSV; the others are in the head."""

@@ -1,6 +1,6 @@
 """The rule that ends an episode, and the frames and episodes that are made of steps.
 
-`end_of_step` is the one rule by which an episode ends and by which numbers count as not finite: in
+`end_of_step` has the one rule by which an episode ends and by which numbers count as not finite: in
 training on the host and on the device, in both examiners, and in a live session. The rest is NumPy:
 the replay learns from frames, which are steps with the reward of equation (7); the host keeps
 the steps of an episode, from the action on, until the episode has ended.
@@ -59,9 +59,8 @@ def end_of_step(
 ) -> StepEnd:
     """Whether a step ended its episode, and whether what the walkers answered is finite.
 
-    An episode ends where the environment terminates it (a fall, the goal) or truncates it (its time
-    is up), and where the human resets the walker. Where something is not finite, nothing that was
-    answered counts: a run diverges there, a test episode is lost.
+    Where something is not finite, nothing that was answered counts: a run diverges there, a test
+    episode is lost.
 
     Args:
         rows: packed ticks, [N, W + 6].
@@ -75,8 +74,17 @@ def end_of_step(
         "observation": isfinite(answer.observation).all(axis=1) | ~(live | begins),
         "reward": isfinite(answer.reward) | ~live,
     }
-    ended = answer.terminated | answer.truncated | flag_of(rows, layout, "human_reset")
+    ended = _ended(answer.terminated, answer.truncated, flag_of(rows, layout, "human_reset"))
     return StepEnd(finite, live & finite["observation"] & finite["reward"] & ended)
+
+
+def _ended(terminated: chex.Array, truncated: chex.Array, human_reset: chex.Array) -> chex.Array:
+    """The rule, bool [...] as each argument.
+
+    An episode ends where the environment terminates it (a fall, the goal) or truncates it (its time
+    is up), and where the human resets the walker.
+    """
+    return terminated | truncated | human_reset
 
 
 def write_answer(rows: np.ndarray, answer: StepBatch, layout: Layout) -> None:
@@ -132,7 +140,7 @@ def frames_of(
     human_reset = live & flag_of(steps, layout, "human_reset")
     terminated = frames[..., layout.terminated] > 0.0
     truncated = frames[..., layout.truncated] > 0.0
-    ended = terminated | truncated | human_reset
+    ended = _ended(terminated, truncated, human_reset)
     so_far, intervened = _intervened(control, ended, intervened)
     reward, schedule = frames[..., layout.reward], config.feedback_schedule
     shaped = shaped_reward(reward, control, feedback[:, None], schedule, ended, so_far)

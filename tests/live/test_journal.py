@@ -65,7 +65,8 @@ def test_a_journal_plays_the_session_again(tmp_path):
     noted.close()
     assert all(json.loads(line) for line in path.read_text().splitlines())
     # The flags of the kept frames are those of the labels.
-    kept = range(again.oldest_frame, again.frame.number)
+    played = again.frame.number
+    kept = range(max(played - again.setup.loop.frames, 0), played)
     said = judged(again.labels, kept.start, kept.stop)
     for number, dangerous in zip(kept, said, strict=True):
         assert again.flag("dangerous", number) == (dangerous and again.flag("live", number))

@@ -28,7 +28,6 @@ def _column(values: np.ndarray) -> jax.Array:
 
 _MASS_A, _MASS_B = (_column(constants.INVERSE_MASS[body]) for body in (_A, _B))
 _INERTIA_A, _INERTIA_B = (_column(constants.INVERSE_INERTIA[body]) for body in (_A, _B))
-_MOTOR_MASS = 1.0 / (_INERTIA_A + _INERTIA_B)
 _ANCHOR_A, _ANCHOR_B = vec(constants.ANCHORS[:, 0], 1), vec(constants.ANCHORS[:, 1], 1)
 _LOWER, _UPPER = _column(constants.LOWER), _column(constants.UPPER)
 _REFERENCE = _column(constants.REFERENCE)
