@@ -223,16 +223,20 @@ class RunHyper(Hyper):
     human_present: float = number(1.0, 0.0, 1.0)
 
 
-def require_trusted_choices(config: AgentConfig) -> None:
+def require_trusted_choices(
+    source: object, config: AgentConfig, backend: str | None = None
+) -> None:
     """Refuses code that somebody else's file names; see `hitl_jax.choices.registry`.
 
+    Args:
+        source: the file.
+        config: what it says of the team.
+        backend: what it says of the walkers.
+
     Raises:
-        InvalidValue: one line with the field, the value and what to do.
+        ResultsError: one line with the file, all such values and what to do.
     """
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        for each in value if isinstance(value, tuple) else (value,):
-            require_trusted(field.name, each)
+    require_trusted(source, vars(config) | {"backend": backend})
 
 
 def typed(hyper: RunHyper) -> RunHyper:

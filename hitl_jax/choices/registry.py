@@ -14,12 +14,15 @@ from collections.abc import Callable, Iterator, Mapping
 from types import ModuleType
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from hitl_jax.errors import InvalidValue, first_line
+from hitl_jax.errors import InvalidValue, ResultsError, first_line
 
 T = TypeVar("T")
 
 TRUSTED = "HITL_JAX_MODULES"
 """Environment variable: modules that a results folder or a journal may name, between commas."""
+
+_LONGEST = 100
+"""Of a name from somebody else's file in a message."""
 
 _IMPORTED = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
 
@@ -191,23 +194,29 @@ def is_imported(choice: Any) -> bool:
     return isinstance(choice, str) and _IMPORTED.fullmatch(choice) is not None
 
 
-def require_trusted(name: str, choice: Any) -> None:
+def require_trusted(source: object, values: Mapping[str, Any]) -> None:
     """Refuses code that somebody else's file names; to be called before a team is made of a file.
 
     Args:
-        name: of the value in the file.
-        choice: what the file names.
+        source: the file, for the message.
+        values: all that the file names, by option; of tuples each part.
 
     Raises:
-        InvalidValue: if it is `module:name` of a module that the environment variable
-            `HITL_JAX_MODULES`, names between commas, does not list.
+        ResultsError: one line with all that is `module:name` of a module that the environment
+            variable `HITL_JAX_MODULES`, names between commas, does not list.
     """
-    if is_imported(choice):
-        module = choice.partition(":")[0]
-        if module not in os.environ.get(TRUSTED, "").split(","):
-            raise InvalidValue(
-                name, choice, f"is code that would be run; if you trust it, set {TRUSTED}={module}"
-            )
+    trusted = [name for each in os.environ.get(TRUSTED, "").split(",") if (name := each.strip())]
+    named: dict[str, str] = {}
+    for option, value in values.items():
+        for choice in value if isinstance(value, tuple) else (value,):
+            if is_imported(choice) and (module := choice.partition(":")[0]) not in trusted:
+                named[f"{option} {choice[:_LONGEST]}"] = module[:_LONGEST]
+    if named:
+        new = list(dict.fromkeys(named.values()))
+        raise ResultsError(
+            f"{source}: names code that would be run: {', '.join(named)}; if you trust it, add "
+            f"{' and '.join(new)} to {TRUSTED}: {TRUSTED}={','.join([*trusted, *new])}"
+        )
 
 
 def having(*names: str) -> Callable[[Any], bool]:

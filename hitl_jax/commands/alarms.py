@@ -3,7 +3,8 @@
 Plays the trained walkers of a results folder once more, alone, on the terrains of their tests (of
 EnvPool's, which cannot be had again, on others), and counts for a range of boundaries what alarms
 at |c_t| >= τ would have told: how often they come, how many are followed by a fall, how many falls
-they announce, and how long before.
+they announce, and how long before. A pool of your own plays again where you trust its module
+(`HITL_JAX_MODULES`).
 """
 
 import dataclasses

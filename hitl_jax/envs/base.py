@@ -6,6 +6,7 @@ from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
+from hitl_jax.errors import InvalidValue
 from hitl_jax.results.episode_measures import UNKNOWN_ENDS, EndRule
 
 
@@ -109,6 +110,22 @@ class WalkerPool(Protocol):
 def ends_of(pool: WalkerPool) -> EndRule:
     """What the ends of a pool's episodes mean; of a pool that does not say, nothing is known."""
     return getattr(pool, "ends", UNKNOWN_ENDS)
+
+
+def require_sizes(pool: WalkerPool, observation_size: int, action_size: int) -> None:
+    """Refuses a team whose sizes are not those of the walkers.
+
+    Args:
+        pool: the walkers.
+        observation_size: the team's O.
+        action_size: the team's A.
+
+    Raises:
+        InvalidValue: one line with the name, the value and what is allowed.
+    """
+    for name, value in (("observation_size", observation_size), ("action_size", action_size)):
+        if value != getattr(pool, name):
+            raise InvalidValue(name, value, f"must be {getattr(pool, name)}, as the walkers have")
 
 
 class CheckedPool(abc.ABC):

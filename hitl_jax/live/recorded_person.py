@@ -90,9 +90,9 @@ def options_from(
     try:
         told = {name: value for name, value in header.items() if name != "made"}
         begun = options_of(completed(told), _Begun)
-        require_trusted_choices(begun.agent)
     except ValueError as error:
         raise ValueError(f"{path}: is no journal of a live session: {error}") from error
+    require_trusted_choices(path, begun.agent)
     return LiveOptions(
         mode=begun.mode,
         start=start,

@@ -1,6 +1,5 @@
 """What alarms at any boundary would have told of trained walkers."""
 
-import contextlib
 import csv
 import io
 from collections.abc import Callable
@@ -11,11 +10,10 @@ import numpy as np
 
 from hitl_jax.analysis import alarm_figures
 from hitl_jax.analysis.alarms import AlarmCounts, count_alarms, total
-from hitl_jax.envs import make_pool
 from hitl_jax.errors import ResultsError
 from hitl_jax.evaluation.host import HostExaminer, play_trial
 from hitl_jax.evaluation.trials import Trial
-from hitl_jax.playback.episodes import playing_backend
+from hitl_jax.playback.episodes import playing_pool
 from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.results.folder import ResultsFolder
@@ -43,7 +41,7 @@ def write_alarms(folder: ResultsFolder, episodes: int, say: Callable[[str], None
     if not keys:
         raise ResultsError(f"{folder.path}: no run has finished yet")
     rows: list[dict[str, Any]] = []
-    with contextlib.closing(make_pool(playing_backend(folder), episodes)) as pool:
+    with playing_pool(folder, agent, episodes) as pool:
         examiner = HostExaminer(agent, pool)
         for number, key in enumerate(keys, start=1):
             spec, end = load_trained(agent, folder, key)

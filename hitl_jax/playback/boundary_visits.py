@@ -1,17 +1,16 @@
 """Where HITL-AC's trained walkers are, and which boundary they have there."""
 
-import contextlib
 from collections.abc import Callable
 
 import numpy as np
 
 from hitl_jax.analysis.boundary_map import Cells
 from hitl_jax.config import Method
-from hitl_jax.envs import make_pool
 from hitl_jax.errors import ResultsError
 from hitl_jax.evaluation.host import HostExaminer, play_trial
 from hitl_jax.evaluation.trials import Trial
-from hitl_jax.playback.episodes import playing_backend
+from hitl_jax.human.indicator import WALKER_OBSERVATION
+from hitl_jax.playback.episodes import playing_pool
 from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.run_key import RunKey
@@ -39,11 +38,17 @@ def map_boundary(folder: ResultsFolder, episodes: int, say: Callable[[str], None
             f"{folder.path}: its boundary source is {source}: must be one of "
             f"{', '.join(_SOURCES)}, where an actor's output is executed"
         )
+    size = agent.config.observation_size
+    if size != WALKER_OBSERVATION:
+        raise ResultsError(
+            f"{folder.path}: its observations have {size} numbers: must be the walker's "
+            f"{WALKER_OBSERVATION}, since the map is over hull angle and angular velocity"
+        )
     keys = [key for key in able_to_play(folder, say) if key.method == Method.HITL_AC]
     if not keys:
         raise ResultsError(f"{folder.path}: no run of HITL-AC has finished yet")
     cells = Cells()
-    with contextlib.closing(make_pool(playing_backend(folder), episodes)) as pool:
+    with playing_pool(folder, agent, episodes) as pool:
         examiner = HostExaminer(agent, pool)
         for key in keys:
             visited = _visits(agent, examiner, folder, key)

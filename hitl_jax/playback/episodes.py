@@ -1,14 +1,16 @@
 """Episodes of a results folder, played again: recorded ones from their actions, tests anew."""
 
-from collections.abc import Iterable, Mapping
+import contextlib
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hitl_jax.choices.registry import is_imported
-from hitl_jax.envs import WalkerPool, require_backend
+from hitl_jax.choices.registry import require_trusted
+from hitl_jax.envs import BACKENDS, WalkerPool, make_pool, require_backend
+from hitl_jax.envs.base import require_sizes
 from hitl_jax.envs.episode_log import playback
-from hitl_jax.errors import ResultsError
+from hitl_jax.errors import InvalidValue, ResultsError
 from hitl_jax.evaluation.host import HostExaminer, play_trial
 from hitl_jax.evaluation.trials import Mode, Trial
 from hitl_jax.playback.load_trained import load_trained
@@ -21,6 +23,10 @@ from hitl_jax.results.run_key import RunKey
 from hitl_jax.team.agent import Agent
 from hitl_jax.training.run_spec import episode_seed
 from hitl_jax.training.step_booking import recorded_steps
+
+_ON_LEAN = ("lean", "gymnasium", "envpool")
+"""Played again on `lean`: it equals gymnasium's walker, and is quicker; EnvPool takes no seeds."""
+_REPEATABLE = ("lean", "gymnasium", "jax")
 
 
 class PlayedTest(NamedTuple):
@@ -94,18 +100,42 @@ def play_tests(
 
 
 def playing_backend(folder: ResultsFolder) -> str:
-    """On which backend episodes of a folder are played again.
+    """On which backend episodes of a folder are played again; a pool of one's own is its own.
 
     Raises:
-        ResultsError: in one line, if that cannot be had here.
+        ResultsError: in one line, if that cannot be had here, or is code that is not trusted.
     """
-    made = folder.load_config().get("backend")
-    backend = "jax" if made == "jax" else "lean"  # Which equals gymnasium's, and is the quicker.
+    made = folder.load_config().get("backend", "lean")
+    backend = "lean" if made in _ON_LEAN else made
+    require_trusted(folder.path / "config.json", {"backend": backend})
     try:
+        BACKENDS.check(backend)
         require_backend(backend)
-    except ImportError as error:
+    except (InvalidValue, ImportError) as error:
         raise ResultsError(f"{folder.path}: made with --backend {made}: {error}") from error
     return backend
+
+
+@contextlib.contextmanager
+def playing_pool(folder: ResultsFolder, agent: Agent, num_walkers: int) -> Iterator[WalkerPool]:
+    """The walkers on which episodes of a folder are played again.
+
+    Args:
+        folder: the results.
+        agent: the team.
+        num_walkers: how many.
+
+    Raises:
+        ResultsError: in one line, if they cannot be had here, or are not of the team's sizes.
+    """
+    backend, config = playing_backend(folder), agent.config
+    with contextlib.ExitStack() as held:
+        try:
+            pool = held.enter_context(contextlib.closing(make_pool(backend, num_walkers)))
+            require_sizes(pool, config.observation_size, config.action_size)
+        except InvalidValue as error:
+            raise ResultsError(f"{folder.path}: made with --backend {backend}: {error}") from error
+        yield pool
 
 
 def differences(folder: ResultsFolder, keys: Iterable[RunKey]) -> str:
@@ -138,8 +168,8 @@ def require_repeatable(folder: ResultsFolder) -> None:
     Raises:
         ResultsError: in one line.
     """
-    backend = folder.load_config().get("backend")
-    if backend == "envpool" or is_imported(backend):
+    backend = folder.load_config().get("backend", "lean")
+    if backend not in _REPEATABLE:
         raise ResultsError(
             f"{folder.path}: made with --backend {backend}, whose episodes cannot be played again"
         )

@@ -34,12 +34,13 @@ def agent_of(folder: ResultsFolder, human_policy: str | None = None) -> Agent:
         human_policy: the `params.npz` that gave the human's actions; None is the scripted walker.
 
     Raises:
-        ResultsError: if the folder was not written by this program.
+        ResultsError: if the folder was not written by this program, or names code, the walkers'
+            included, that is not trusted.
         ValueError: if the file is no such checkpoint.
     """
     config = section_of(folder, "agent", AgentConfig)
-    with named_errors(folder.path / "config.json"):
-        require_trusted_choices(config)
+    backend = folder.load_config().get("backend")
+    require_trusted_choices(folder.path / "config.json", config, backend)
     return make_team(config, human_policy, recorded_human.load_from_results(folder))
 
 

@@ -1,14 +1,12 @@
 """Episodes of a run, played again: recorded training episodes from their actions, tests anew."""
 
-import contextlib
 from typing import get_args
 
 import numpy as np
 
-from hitl_jax.envs import make_pool
 from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import Mode
-from hitl_jax.playback.episodes import play_tests, playing_backend, returns_of, training_seed
+from hitl_jax.playback.episodes import play_tests, playing_pool, returns_of, training_seed
 from hitl_jax.results.episode_tables import select
 from hitl_jax.results.folder import ResultsFolder, Run
 from hitl_jax.results.run_key import RunKey
@@ -30,10 +28,10 @@ def play_again(agent: Agent, folder: ResultsFolder, key: RunKey) -> dict[str, Pa
         ResultsError: if the run is not there, or damaged.
     """
     run = folder.load_run(key)
-    results = {"training": _replay(folder, run)}
+    results = {"training": _replay(agent, folder, run)}
     autonomous = select(run.tests, "mode", "autonomous")["return"]
     if len(autonomous) and not run.diverged:
-        with contextlib.closing(make_pool(playing_backend(folder), len(autonomous))) as pool:
+        with playing_pool(folder, agent, len(autonomous)) as pool:
             examiner = HostExaminer(agent, pool)
             for mode in get_args(Mode):
                 recorded = select(run.tests, "mode", mode)["return"]
@@ -44,12 +42,12 @@ def play_again(agent: Agent, folder: ResultsFolder, key: RunKey) -> dict[str, Pa
     return results
 
 
-def _replay(folder: ResultsFolder, run: Run) -> Pairs:
+def _replay(agent: Agent, folder: ResultsFolder, run: Run) -> Pairs:
     """Returns of the recorded training episodes: in the table, and played again."""
     recordings = list(folder.load_recordings(run.key).values())
     if not recordings:
         return []
-    with contextlib.closing(make_pool(playing_backend(folder), len(recordings))) as pool:
+    with playing_pool(folder, agent, len(recordings)) as pool:
         seeds = [training_seed(run.key, recording.episode) for recording in recordings]
         actions = {place: recording.actions for place, recording in enumerate(recordings)}
         again = returns_of(pool, actions, np.array(seeds, np.uint32))

@@ -1,6 +1,5 @@
 """An episode of a results folder, found, played again and filmed."""
 
-import contextlib
 import itertools
 import pathlib
 from typing import Literal, NamedTuple
@@ -10,12 +9,11 @@ import numpy as np
 
 from hitl_jax.choices.checks import one_of
 from hitl_jax.config import Method
-from hitl_jax.envs import make_pool
 from hitl_jax.errors import InvalidValue, ResultsError
 from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import Mode
 from hitl_jax.playback import film
-from hitl_jax.playback.episodes import play_tests, playing_backend, training_seed
+from hitl_jax.playback.episodes import play_tests, playing_pool, training_seed
 from hitl_jax.results.episode_tables import select
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.recorded_episodes import BEST, Recording
@@ -99,7 +97,7 @@ def _find_test(agent: Agent, folder: ResultsFolder, key: RunKey, mode: Mode, num
         raise InvalidValue(
             "episode", number, f"{key} has {len(recorded)} episodes of the {mode} test"
         )
-    with contextlib.closing(make_pool(playing_backend(folder), len(recorded))) as pool:
+    with playing_pool(folder, agent, len(recorded)) as pool:
         tests = play_tests(agent, HostExaminer(agent, pool), folder, key, mode)
     test = tests[number - 1]
     return Found(test.seed, test.episode, float(recorded[number - 1]))

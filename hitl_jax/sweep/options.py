@@ -178,7 +178,7 @@ def require_team(agent: AgentConfig, loop: LoopConfig, own: bool = False) -> Non
     Args:
         agent: the team.
         loop: of its runs.
-        own: whether the environment is none of ours: its sizes are compared when it is made.
+        own: whether the environment is none of ours: `with_backend` compares its sizes.
 
     Raises:
         InvalidValue: one line with the name, the value and what is allowed.

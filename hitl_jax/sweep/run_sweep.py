@@ -12,6 +12,7 @@ import numpy as np
 
 from hitl_jax.choices.registry import is_imported
 from hitl_jax.envs import box2d, default_backend, make_pool, require_backend
+from hitl_jax.envs.base import require_sizes
 from hitl_jax.errors import LaunchError, ResultsError
 from hitl_jax.human.judgement import recorded
 from hitl_jax.results.atomic_files import locked
@@ -115,12 +116,14 @@ def with_backend(options: SweepOptions) -> tuple[SweepOptions, str]:
 
     Raises:
         ImportError: one line that says what to install for the backend that is asked for.
+        InvalidValue: one line, if its walkers have other sizes than the team.
     """
     if options.backend is not None:
         require_backend(options.backend)
         if options.backend == "envpool" or is_imported(options.backend):
-            # What is missing is noticed before a folder is made.
-            make_pool(options.backend, 1).close()
+            # What is missing or does not fit is noticed before a folder is made.
+            with contextlib.closing(make_pool(options.backend, 1)) as pool:
+                require_sizes(pool, options.agent.observation_size, options.agent.action_size)
         return options, ""
     chosen = default_backend()
     note = (

@@ -20,6 +20,7 @@ import numpy as np
 from hitl_jax.choices.checks import require
 from hitl_jax.config import typed
 from hitl_jax.envs import WalkerPool
+from hitl_jax.envs.base import require_sizes
 from hitl_jax.learner.losses import Metrics
 from hitl_jax.results import recorded_episodes
 from hitl_jax.results.episode_measures import Row
@@ -338,10 +339,7 @@ class Rollout:
 
 def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:
     """Raises ValueError where agent, pool and loop do not fit each other."""
-    asked = (agent.config.observation_size, agent.config.action_size)
-    has = (pool.observation_size, pool.action_size)
-    if asked != has:
-        raise ValueError(f"agent has observations and actions of {asked}, the walkers of {has}")
+    require_sizes(pool, agent.config.observation_size, agent.config.action_size)
     require("n_step", agent.config.n_step, at_most=config.frames // 2)
     devices = len(learning_devices())
     if pool.num_walkers % devices:

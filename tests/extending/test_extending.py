@@ -1,5 +1,6 @@
 """One choice of each kind from outside the package: by name, as objects, and bad ones."""
 
+import csv
 import dataclasses
 import json
 import re
@@ -13,6 +14,7 @@ import pytest
 
 from hitl_jax.choices.fields import require_fields, whole
 from hitl_jax.choices.registry import TRUSTED, Registry
+from hitl_jax.commands import alarms
 from hitl_jax.commands.seed_sweep import main
 from hitl_jax.config import AgentConfig, Hyper, Method, RunHyper, hyper_for
 from hitl_jax.console.cli import run_main
@@ -85,10 +87,17 @@ def test_named_on_the_command_line(words, by_name, tmp_path, monkeypatch):
     assert config["agent"]["learner"] == "my_sac:sac"
     assert config["hyper"]["extra"] == {"drift": 0.002, "patience": 1.0, "temperature": 0.1}
     # What somebody's folder names is code: it is run where its reader says so.
-    with pytest.raises(ResultsError, match=f"learner my_sac:sac: is code .* {TRUSTED}=my_sac"):
+    said = f"config.json: names code that would be run: learner my_sac:sac.*{TRUSTED}=my_sac"
+    with pytest.raises(ResultsError, match=said):
         load_trained.agent_of(folder)
-    monkeypatch.setenv(TRUSTED, "my_sac,my_team")
+    assert run_main("alarms", alarms.main, [str(out)]) == 2
+    monkeypatch.setenv(TRUSTED, "my_sac, my_team")
     assert load_trained.agent_of(folder).learner == my_sac.sac(_CONFIG)
+    # Then its own pool plays it again.
+    assert run_main("alarms", alarms.main, [str(out), "--episodes", "1"]) == 0
+    with (out / "alarms.csv").open(encoding="utf-8") as rows:
+        steps = {row["steps"] for row in csv.DictReader(rows)}
+    assert steps == {str(run.tests["length"][run.tests["mode"] == "autonomous"].sum())}
 
 
 def test_each_has_its_part(by_name):
@@ -152,7 +161,8 @@ def test_bad_ones_are_one_line(name, value, why):
         (["--extra", "drift", "nan"], "--extra.drift nan: must be a finite number"),
         (["--extra", "lift", "0.1"], "--extra lift: must be one of temperature, drift, patience"),
         (["--human.extra", "ahead", "10"], "--human.extra.ahead 10.0: must be at least 0 and"),
-        (["--observation-size", "4"], "--observation-size 4: must be 3 with this indicator"),
+        (["--observation-size", "4"], "--observation-size 4: must be 3, as the walkers have"),
+        (["--action-size", "2"], "--action-size 2: must be 1, as the walkers have"),
     ],
 )
 def test_the_command_says_so(words, given, said, tmp_path, capsys):
