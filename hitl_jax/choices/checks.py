@@ -2,7 +2,7 @@
 
 import math
 import numbers
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -88,6 +88,24 @@ def one_of(name: str, value: str, allowed: Sequence[str]) -> None:
     """Raises InvalidValue unless `value` is one of those that are allowed."""
     if value not in allowed:
         raise InvalidValue(name, value, f"must be one of {', '.join(allowed)}")
+
+
+def require_default(
+    config: Any, names: Iterable[str], why: str, prefix: str = "", mentions: tuple[str, ...] = ()
+) -> None:
+    """Raises InvalidValue where an option is given that nobody would look at.
+
+    Args:
+        config: a dataclass whose fields have defaults.
+        names: of those of its fields that would be ignored.
+        why: they have no meaning.
+        prefix: before the fields' names, in the message.
+        mentions: names of other values that stand in `why`.
+    """
+    default = type(config)()
+    for name in names:
+        if getattr(config, name) != getattr(default, name):
+            raise InvalidValue(prefix + name, ..., why, mentions)
 
 
 def _text(bound: float) -> str:

@@ -16,14 +16,14 @@ from hitl_jax.live.setup import SessionSetup
 from hitl_jax.results.config_diff import changes, completed
 from hitl_jax.results.provenance import origin
 from hitl_jax.team import checkpoint
-from hitl_jax.team.agent import Agent, make_agent
+from hitl_jax.team.agent import Agent, make_agent, require_extra
 
 
 def setup_of(options: LiveOptions) -> SessionSetup:
     """What a session begins with.
 
     Raises:
-        ValueError: one line, if a file is not what it should be.
+        ValueError: one line, if a file is not what it should be, or a number is of no choice.
     """
     config = options.agent
     assistant = None
@@ -41,6 +41,7 @@ def setup_of(options: LiveOptions) -> SessionSetup:
         agent = make_agent(config, judge=person.judge(), source=hands)
     else:
         agent = make_agent(config, source=assistant)
+    require_extra(agent, options.hyper)
     return SessionSetup(
         agent=agent,
         hyper=hyper,

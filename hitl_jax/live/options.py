@@ -5,15 +5,22 @@ from typing import Annotated, Any
 
 import tyro
 
-from hitl_jax.choices.checks import one_of, require
+from hitl_jax.choices.checks import one_of, require, require_default
 from hitl_jax.config import AgentConfig, Hyper, Method, validate_hyper
 from hitl_jax.errors import InvalidValue
-from hitl_jax.sweep.options import require_room, require_team
+from hitl_jax.sweep.options import (
+    require_hands,
+    require_no_simulated_judge,
+    require_room,
+    require_team,
+)
 from hitl_jax.sweep.train_and_test import policy_digest
 from hitl_jax.training.run_spec import LoopConfig
 
 MODES = ("train", "test", "watch")
-_SIMULATED = ("human", "takeover_steps")
+_HANDS = ("human_actions", "release")
+_CONTROL = ("takeover_steps", "release_share")
+"""What the simulated human does with the controls, and until when."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,24 +84,23 @@ class LiveOptions:
         if self.with_person:
             one_of("feedback_schedule", self.agent.feedback_schedule, ("step",))
             self._require_nothing_simulated()
-        elif self.ask:
-            raise InvalidValue(
-                "ask", True, "there is nobody to ask with mode watch", mentions=("mode",)
-            )
+        else:
+            require_hands(self.agent, self.human_policy)
+            if self.ask:
+                raise InvalidValue(
+                    "ask", True, "there is nobody to ask with mode watch", mentions=("mode",)
+                )
         return self
 
     def _require_nothing_simulated(self) -> None:
         """Refuses options of the simulated human, whom nobody would ask."""
-        for part, names in ((self.agent, ("danger", "release")), (self.hyper, _SIMULATED)):
-            for name in names:
-                if getattr(part, name) != getattr(type(part)(), name):
-                    raise InvalidValue(
-                        name,
-                        ...,
-                        "is of the simulated human; where you are the human (mode train, test) it "
-                        "has no meaning",
-                        mentions=("mode",),
-                    )
+        why = (
+            "is of the simulated human; where you are the human (mode train, test) it has no "
+            "meaning"
+        )
+        require_no_simulated_judge(self.agent, self.hyper, why, mentions=("mode",))
+        for part, names in ((self.agent, _HANDS), (self.hyper, _CONTROL)):
+            require_default(part, names, why, mentions=("mode",))
 
     @property
     def with_person(self) -> bool:

@@ -7,7 +7,13 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from hitl_jax.choices.checks import one_of, require, require_seeds, require_whole
+from hitl_jax.choices.checks import (
+    one_of,
+    require,
+    require_default,
+    require_seeds,
+    require_whole,
+)
 from hitl_jax.choices.fields import choice, described
 from hitl_jax.choices.registry import is_imported
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, validate_hyper
@@ -143,10 +149,48 @@ class SweepOptions:
             runs = len(self.methods) * scale.seeds
             raise InvalidValue("shard", self.shard, f"has none of the {runs} runs")
         validate_hyper(self.hyper)
+        require_hands(self.agent, self.human_policy)
+        if self.human != recorded_human.SIMULATED:
+            require_no_simulated_judge(
+                self.agent,
+                self.hyper,
+                "has no meaning beside human recorded:FILE, whose judgements are played back",
+                mentions=("human",),
+            )
         require_team(self.agent, self.loop, own=is_imported(self.backend))
         if self.launch.launcher == "local":
             require_room(self.agent, self.loop, num_slots(len(self.specs()), self.slots))
         return self
+
+
+def require_hands(agent: AgentConfig, human_policy: str | None) -> None:
+    """Refuses two sources of the human's actions.
+
+    Raises:
+        InvalidValue: one line with the name and why.
+    """
+    if human_policy is not None:
+        why = "has no meaning beside human_policy, whose actions the human takes"
+        require_default(agent, ("human_actions",), why, mentions=("human_policy",))
+
+
+def require_no_simulated_judge(
+    agent: AgentConfig, hyper: Hyper, why: str, mentions: tuple[str, ...]
+) -> None:
+    """Refuses options of the simulated human's judgement, where somebody else judges.
+
+    Args:
+        agent: the team.
+        hyper: its numbers.
+        why: the options have no meaning.
+        mentions: names of other values that stand in `why`.
+
+    Raises:
+        InvalidValue: one line with the name and why.
+    """
+    require_default(agent, ("danger", "human_parts"), why, mentions=mentions)
+    numbers = [field.name for field in dataclasses.fields(hyper.human)]
+    require_default(hyper.human, numbers, why, "human.", mentions)
 
 
 def require_room(agent: AgentConfig, loop: LoopConfig, slots: int) -> None:

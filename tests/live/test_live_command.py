@@ -127,7 +127,16 @@ def _refused(options, capsys):
         (["--mode", "watch", "--boundary-source", "pid"], "--boundary-source pid: must be one of"),
         (["--mode", "watch", "--ask"], "--ask True: there is nobody to ask with --mode watch"),
         (["--danger", "predictive"], "--danger: is of the simulated human"),
-        (["--human.delay", "3"], "--human: is of the simulated human"),
+        (["--human.delay", "3"], "--human.delay: is of the simulated human"),
+        (["--human-parts", "delay"], "--human-parts: is of the simulated human"),
+        (["--mode", "test", "--start", "a.npz", "--human-actions", "still"], "--human-actions: is"),
+        (["--release-share", "0.3"], "--release-share: is of the simulated human"),
+        (["--extra", "foo", "1"], "--extra foo: no choice has options"),
+        (["--mode", "watch", "--human.extra", "foo", "1"], "--human.extra foo: no choice has opti"),
+        (
+            ["--mode", "watch", "--human-policy", "a.npz", "--human-actions", "still"],
+            "--human-actions: has no meaning beside --human-policy, whose actions",
+        ),
         (["--human-policy", "gone.npz"], "--human-policy gone.npz: No such file"),
     ],
 )

@@ -285,6 +285,17 @@ def test_another_configuration_is_refused_with_the_difference(swept, capsys):
         (["--human-policy", "pyproject.toml"], "is no checkpoint that can be read"),
         (["--human-policy", "missing.npz"], "is no checkpoint that can be read"),
         (["--frobnicate"], "--frobnicate"),
+        (
+            ["--human-policy", "missing.npz", "--human-actions", "nosuch:x"],
+            "--human-actions: has no meaning beside --human-policy, whose actions",
+        ),
+        (
+            ["--human", "recorded:missing.npz", "--danger", "predictive"],
+            "--danger: has no meaning beside --human recorded:FILE, whose judgements",
+        ),
+        (["--human", "recorded:missing.npz", "--human-parts", "delay"], "--human-parts: has no"),
+        (["--human", "recorded:missing.npz", "--human.delay", "3"], "--human.delay: has no meani"),
+        (["--human", "recorded:missing.npz"], "--human missing.npz: No such file"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(options, message, tmp_path, capsys):
