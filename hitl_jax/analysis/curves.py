@@ -72,6 +72,25 @@ def over_steps(steps: list[np.ndarray], values: list[np.ndarray], window: int) -
     return over_seeds(grid, reached, stats.interquartile_mean)
 
 
+def over_samples(places: list[np.ndarray], values: list[np.ndarray]) -> Curve:
+    """The interquartile mean over seeds of what was sampled now and then.
+
+    A seed that lacks a sample where another has one is interpolated; before its first sample that
+    one's value stands. A value that is NaN makes a gap, as wide as to the samples beside it.
+
+    Args:
+        places: of each seed's samples, rising, S >= 1 arrays [K_s], none of them empty.
+        values: there, [K_s] each.
+
+    Returns:
+        The curve; x is in the unit of `places`.
+    """
+    grid = np.unique(np.concatenate(places))
+    grid = grid[np.linspace(0, len(grid) - 1, min(len(grid), MAX_POINTS)).astype(int)]
+    reached = [np.interp(grid[grid <= x[-1]], x, y) for x, y in zip(places, values, strict=True)]
+    return over_seeds(grid, reached, stats.interquartile_mean)
+
+
 def over_seeds(
     x: np.ndarray,
     curves: list[np.ndarray],

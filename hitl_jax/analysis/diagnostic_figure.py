@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hitl_jax.analysis.curves import over_episodes
+from hitl_jax.analysis.curves import over_samples
 from hitl_jax.analysis.figure_style import PAGE, Drawn, attempt, draw_curve, legend, panels, save
 from hitl_jax.results.diagnostic_table import COUNTERS
-from hitl_jax.results.episode_tables import METHODS
+from hitl_jax.results.episode_tables import METHODS, Table
 from hitl_jax.results.folder import ResultsFolder, Run
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ NAME = "figure10_diagnostics"
 _COLUMNS = 3
 _ROW_HEIGHT = 1.7
 """[inch]"""
+_UNIT = 1000.0
+"""Updates that the x axis counts as one."""
 
 
 def draw(folder: ResultsFolder) -> Drawn:
@@ -30,7 +32,7 @@ def draw(folder: ResultsFolder) -> Drawn:
     Raises:
         ResultsError: if a run is damaged, or a file cannot be written.
     """
-    runs = [run for run in folder.load_all() if run.diagnostics]
+    runs = [run for run in folder.load_all() if len(run.diagnostics.get("updates", ()))]
 
     def make() -> list[pathlib.Path] | None:
         return save(_figure(runs), folder.path / "figures" / NAME) if runs else None
@@ -46,9 +48,15 @@ def _figure(runs: list[Run]) -> Figure:
     for metric, panel in zip(metrics, axes, strict=False):
         panel.set_title(metric.replace("_", " "), fontsize=8)
         for method in METHODS:
-            values = [_known(run, metric) for run in runs if run.key.method == method]
-            if known := [series for series in values if len(series)]:
-                lines[method] = draw_curve(panel, method, over_episodes(known, 1))
+            known = [
+                run.diagnostics
+                for run in runs
+                if run.key.method == method and _is_known(run.diagnostics, metric)
+            ]
+            if known:
+                thousands = [table["updates"] / _UNIT for table in known]
+                curve = over_samples(thousands, [table[metric] for table in known])
+                lines[method] = draw_curve(panel, method, curve)
     for panel in axes[len(metrics) :]:
         panel.remove()
     for panel in axes[max(len(metrics) - _COLUMNS, 0) : len(metrics)]:
@@ -58,7 +66,6 @@ def _figure(runs: list[Run]) -> Figure:
     return figure
 
 
-def _known(run: Run, metric: str) -> np.ndarray:
-    """A metric of a run, [K]; empty where the run has it not, or never a number."""
-    values = run.diagnostics.get(metric, np.empty(0))
-    return values if np.isfinite(values).all() else np.empty(0)
+def _is_known(table: Table, metric: str) -> bool:
+    """Whether a run has a metric, and at least once as a number."""
+    return metric in table and bool(np.isfinite(table[metric]).any())

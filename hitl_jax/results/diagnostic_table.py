@@ -25,14 +25,13 @@ _GREATEST = 1e30
 
 
 def diagnostics_to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as CSV; empty without rows. What is not finite becomes an empty cell.
+    """Rows as CSV; without rows the header of `COUNTERS`. What is not finite becomes an empty cell.
 
     Raises:
         ValueError: one line, if the rows have no such names, or not all the same.
     """
-    if not rows:
-        return ""
-    names = (*COUNTERS, *sorted(set(rows[0]) - set(COUNTERS)))
+    first = rows[0] if rows else {}
+    names = (*COUNTERS, *sorted(set(first) - set(COUNTERS)))
     _require_names(names)
     if any(set(row) != set(names) for row in rows):
         raise ValueError("diagnostics: the rows have different columns")
@@ -46,7 +45,9 @@ def diagnostics_to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def diagnostics_from_csv(text: str) -> Table:
-    """The inverse of `diagnostics_to_csv`; no columns of an empty text.
+    """The inverse of `diagnostics_to_csv`.
+
+    Earlier commits wrote nothing at all where there were no rows: of that there are no columns.
 
     Returns:
         Columns by name: int64 [K] for `COUNTERS`, float64 [K] for the others, NaN where a number is

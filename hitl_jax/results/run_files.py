@@ -53,8 +53,8 @@ class Run:
         tests: test episodes, columns `TEST_COLUMNS`, each [N].
         progress: test episodes at earlier points of training, columns `PROGRESS_COLUMNS`; empty if
             the run was made without them.
-        diagnostics: samples of the run's learners, see `diagnostic_table`; no columns if the run
-            was made without them.
+        diagnostics: samples of the run's learners, see `diagnostic_table`; no rows if there were
+            none, and no columns if the run was made without them.
     """
 
     key: RunKey

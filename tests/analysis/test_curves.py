@@ -3,7 +3,7 @@
 import numpy as np
 
 from hitl_jax.analysis import stats
-from hitl_jax.analysis.curves import MAX_POINTS, over_episodes, over_seeds, over_steps
+from hitl_jax.analysis.curves import MAX_POINTS, over_episodes, over_samples, over_seeds, over_steps
 
 
 def test_each_point_is_over_the_seeds_that_reach_it():
@@ -46,6 +46,17 @@ def test_over_steps_interpolates_between_ends_of_episodes():
     assert (curve.x[0], curve.x[-1]) == (0.0, 200.0)
     # Until the first end 10, then the line through (100, 10) and (200, 30).
     np.testing.assert_allclose(curve.centre, np.maximum(10.0, 10.0 + 0.2 * (curve.x - 100.0)))
+
+
+def test_over_samples_is_drawn_where_the_samples_were():
+    places = [np.array([1000, 2000, 4000]), np.array([1000, 4000])]
+    curve = over_samples(places, [np.array([1.0, np.nan, 4.0]), np.array([1.0, 7.0])])
+    np.testing.assert_array_equal(curve.x, [1000, 2000, 4000])
+    np.testing.assert_array_equal(curve.centre, [1.0, np.nan, 5.5])
+    assert curve.seeds_at.tolist() == [2, 2, 2]
+    longer = over_samples([np.arange(10_000) * 3], [np.arange(10_000.0)])
+    assert len(longer.x) == MAX_POINTS
+    assert (longer.x[0], longer.x[-1], longer.centre[-1]) == (0, 29_997, 9999.0)
 
 
 def test_nan_stays_nan():

@@ -1,9 +1,12 @@
 """Diagnostics of a run as a table."""
 
+import io
+
 import numpy as np
+import pandas
 import pytest
 
-from hitl_jax.results.diagnostic_table import diagnostics_from_csv, diagnostics_to_csv
+from hitl_jax.results.diagnostic_table import COUNTERS, diagnostics_from_csv, diagnostics_to_csv
 
 _ROWS = [
     {"q": 1.5, "updates": 1000, "env_steps": 3000, "episodes": 4, "boundary_critic_loss": np.nan},
@@ -21,9 +24,13 @@ def test_rows_come_back():
     np.testing.assert_array_equal(table["boundary_critic_loss"], [np.nan, -2.0])
 
 
-def test_no_samples_are_an_empty_file():
-    assert diagnostics_to_csv([]) == ""
-    assert diagnostics_from_csv("") == {}
+def test_no_samples_are_a_header():
+    text = diagnostics_to_csv([])
+    assert text == "updates,env_steps,episodes\n"
+    table = diagnostics_from_csv(text)
+    assert {name: len(values) for name, values in table.items()} == dict.fromkeys(COUNTERS, 0)
+    assert pandas.read_csv(io.StringIO(text)).empty
+    assert diagnostics_from_csv("") == {}  # As earlier commits wrote it.
 
 
 @pytest.mark.parametrize(
