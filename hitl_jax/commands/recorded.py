@@ -49,8 +49,8 @@ def main(options: RecordedOptions) -> int:
         The exit code.
     """
     path = pathlib.Path(options.journal)
-    header, lines = journal.read(path)
-    with checking_input():
+    with checking_input(results="JOURNAL"):
+        header, lines = journal.read(path)
         setup = setup_again(path, header, options.start, options.human_policy)
     if line := differences(path, header):
         say(line)

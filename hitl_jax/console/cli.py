@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-import itertools
 import os
 import sys
 import typing
@@ -12,6 +11,7 @@ from typing import Any, TypeVar
 import tyro
 
 from hitl_jax.analysis.figure_style import Drawn
+from hitl_jax.console.refused_words import one_line
 from hitl_jax.errors import InvalidValue, LaunchError, ResultsError, WalkerError
 
 T = TypeVar("T")
@@ -119,7 +119,7 @@ def parse(options: type[T], args: Sequence[str], prog: str = "hitl-jax") -> T:
         contextlib.suppress(SystemExit),
     ):
         tyro.cli(options, args=args, prog=prog)
-    raise BadInput(_one_line(said.getvalue()))
+    raise BadInput(one_line(said.getvalue(), args))
 
 
 @contextlib.contextmanager
@@ -133,10 +133,3 @@ def _terminal_width(columns: int) -> Iterator[None]:
         os.environ.pop("COLUMNS")
         if before is not None:
             os.environ["COLUMNS"] = before
-
-
-def _one_line(box: str) -> str:
-    """The message of tyro's box: what stands above its first rule, without the frame."""
-    lines = [line.removeprefix("│ ").removesuffix("│").strip() for line in box.splitlines()]
-    message = itertools.takewhile(lambda line: set(line) != {"─"}, lines[1:])
-    return " ".join(line for line in message if line)

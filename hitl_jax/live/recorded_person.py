@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from hitl_jax.config import AgentConfig, Hyper, require_trusted_choices
-from hitl_jax.errors import InvalidValue
+from hitl_jax.errors import InvalidValue, ResultsError
 from hitl_jax.human.fit import FittedHuman, fit_human
 from hitl_jax.human.indicator import hull_angle, weighted
 from hitl_jax.human.judgement import HumanParams
@@ -71,7 +71,8 @@ def setup_again(
         human_policy: the `params.npz` of its assistant, if it had one.
 
     Raises:
-        ValueError: one line, if the files are others, or nobody judged.
+        ResultsError: one line, if it is no journal of a session in which a person judged.
+        ValueError: one line, if the files are others.
     """
     options = options_from(path, header, start, human_policy)
     asked = options.header()
@@ -79,7 +80,7 @@ def setup_again(
         if asked[name] != header.get(name):
             raise InvalidValue(name, given, f"the session had {header.get(name)}")
     if not options.with_person:
-        raise ValueError(f"{path}: mode watch: no person judged in this session")
+        raise ResultsError(f"{path}: mode watch: no person judged in this session")
     return setup_of(options)
 
 
@@ -91,7 +92,7 @@ def options_from(
         told = {name: value for name, value in header.items() if name != "made"}
         begun = options_of(completed(told), _Begun)
     except ValueError as error:
-        raise ValueError(f"{path}: is no journal of a live session: {error}") from error
+        raise ResultsError(f"{path}: is no journal of a live session: {error}") from error
     require_trusted_choices(path, begun.agent)
     return LiveOptions(
         mode=begun.mode,

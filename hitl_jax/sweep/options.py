@@ -230,5 +230,5 @@ def require_team(agent: AgentConfig, loop: LoopConfig, own: bool = False) -> Non
     for name in () if own else ("observation_size", "action_size"):
         has = getattr(AgentConfig(), name)
         require(name, getattr(agent, name), at_least=has, at_most=has)
-    require("n_step", agent.n_step, at_most=loop.frames // 2)
+    loop.require_n_step(agent.n_step)
     loop.num_updates(agent.task_learner.policy_delay)

@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitl_jax.choices.checks import require
 from hitl_jax.config import typed
 from hitl_jax.envs import WalkerPool
 from hitl_jax.envs.base import require_sizes
@@ -340,7 +339,7 @@ class Rollout:
 def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:
     """Raises ValueError where agent, pool and loop do not fit each other."""
     require_sizes(pool, agent.config.observation_size, agent.config.action_size)
-    require("n_step", agent.config.n_step, at_most=config.frames // 2)
+    config.require_n_step(agent.config.n_step)
     devices = len(learning_devices())
     if pool.num_walkers % devices:
         raise ValueError(f"{pool.num_walkers} walkers do not divide over {devices} devices")

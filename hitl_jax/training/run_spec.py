@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitl_jax.choices.checks import MOST_SEED, one_of, require_whole
+from hitl_jax.choices.checks import MOST_SEED, is_whole, one_of, require_whole
 from hitl_jax.choices.fields import checked_by, number, require_fields, whole
 from hitl_jax.config import Method, RunHyper, validate_hyper
 from hitl_jax.errors import InvalidValue
@@ -46,12 +46,26 @@ class LoopConfig:
     def __post_init__(self) -> None:
         """Checks every number; InvalidValue names it, its value and what is allowed."""
         require_fields(self)
-        require_whole("capacity", self.capacity, at_least=2 * self.chunk, at_most=_MOST_FRAMES)
+        least = 2 * self.chunk
+        if is_whole(self.capacity) and self.capacity < least:
+            why = f"must be at least {least}, twice chunk"
+            raise InvalidValue("capacity", self.capacity, why, mentions=("chunk",))
+        require_whole("capacity", self.capacity, least, _MOST_FRAMES)
 
     @property
     def frames(self) -> int:
         """Capacity in whole chunks."""
         return math.ceil(self.capacity / self.chunk) * self.chunk
+
+    def require_n_step(self, n_step: int) -> None:
+        """Refuses returns of so many steps that the replay has too few of them.
+
+        Raises:
+            InvalidValue: one line with the name, the value and what is allowed.
+        """
+        if n_step > self.frames // 2:
+            why = f"must be at most {self.frames // 2}, half of capacity"
+            raise InvalidValue("n_step", n_step, why, mentions=("capacity",))
 
     def num_updates(self, policy_delay: int) -> int:
         """Updates in one call of the learner.

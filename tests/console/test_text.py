@@ -73,8 +73,7 @@ def test_a_bad_value_is_told_as_it_is(name, encoding, monkeypatch):
     terminal = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
     with contextlib.redirect_stdout(terminal), pytest.raises(BadInput) as caught:
         parse(SweepOptions, ["--seeds", name])
-    assert str(caught.value).startswith("Error parsing --seeds: no type matching")
-    assert str(caught.value).endswith(f"int() with base 10: {name!r}")
+    assert str(caught.value) == f"--seeds {name}: must be a whole number"
     assert os.environ["COLUMNS"] == "40"
 
 

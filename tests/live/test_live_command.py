@@ -118,7 +118,7 @@ def _refused(options, capsys):
         (["--start", "gone.npz"], "--start gone.npz: No such file"),
         (["--start", "pyproject.toml"], "--start pyproject.toml: is no checkpoint"),
         (["--seed", "4294967296"], "--seed 4294967296: must be at least 0 and at most"),
-        (["--n-step", "5000"], "--n-step 5000: must be at most 1000"),
+        (["--n-step", "5000"], "--n-step 5000: must be at most 1000, half of --capacity"),
         (["--observation-size", "3"], "--observation-size 3: must be 24"),
         (["--method", "srl"], "--method srl: must be one of hitl-ac, hitl-fix"),
         (["--port", "70000"], "--port 70000: must be at least 0 and at most 65535"),
@@ -161,6 +161,31 @@ def test_a_port_in_use_and_another_sessions_journal_are_refused(tmp_path, capsys
     path.write_text("my thesis\n")
     assert "is no journal of a live session" in _refused(["--journal", str(path)], capsys)
     assert path.read_text() == "my thesis\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("thesis.txt", "is no journal of a live session"),
+        (".", "Is a directory"),
+        ("gone.jsonl", "No such file or directory"),
+        ("watched.jsonl", "mode watch: no person judged in this session"),
+        ("own.jsonl", "names code that would be run: indicator my_team:tilt; if you trust it, add"),
+    ],
+)
+def test_what_is_no_persons_journal_is_refused(name, told, tmp_path, capsys):
+    (tmp_path / "thesis.txt").write_text("my thesis\n")
+    own = AgentConfig(intervention="takeover", indicator="my_team:tilt")
+    for file, options in (
+        ("watched.jsonl", LiveOptions(mode="watch")),
+        ("own.jsonl", LiveOptions(agent=own)),
+    ):
+        noted = journal.Journal(tmp_path / file)
+        noted.begin(options.header())
+        noted.close()
+    path = tmp_path / name
+    assert run_main("recorded", recorded.main, [str(path)]) == 2
+    assert capsys.readouterr().err.startswith(f"error: JOURNAL {path}: {told}")
 
 
 def test_a_journal_of_other_versions_says_so(tmp_path, capsys):

@@ -274,7 +274,7 @@ def test_another_configuration_is_refused_with_the_difference(swept, capsys):
         (["--methods"], "--methods (none): must be some of"),
         (["--methods", "srl", "srl"], "--methods srl srl: each at most once"),
         (["--seeds", "0"], "--seeds 0: must be at least 1"),
-        (["--seeds", "many"], "--seeds"),
+        (["--seeds", "many"], "--seeds many: must be a whole number"),
         (["--episodes", "-3"], "--episodes -3: must be at least 1"),
         (["--delta-minus", "-1"], "--delta-minus -1.0: must be at least 0"),
         (["--human.delay", "99"], "--human.delay 99: must be from 0 to 32"),
@@ -285,6 +285,9 @@ def test_another_configuration_is_refused_with_the_difference(swept, capsys):
         (["--human-policy", "pyproject.toml"], "is no checkpoint that can be read"),
         (["--human-policy", "missing.npz"], "is no checkpoint that can be read"),
         (["--frobnicate"], "--frobnicate"),
+        # Each names the option that was given, too.
+        (["--chunk", "2000"], "--capacity 2000: must be at least 4000, twice --chunk"),
+        (["--chunk", "2", "--capacity", "6"], "--n-step 4: must be at most 3, half of --capacity"),
         (
             ["--human-policy", "missing.npz", "--human-actions", "nosuch:x"],
             "--human-actions: has no meaning beside --human-policy, whose actions",
