@@ -17,7 +17,7 @@ from flax import struct
 
 from hitl_jax.arbiter import FEEDBACK_SCHEDULES, INTERVENTIONS, RELEASES
 from hitl_jax.boundary import SOURCES
-from hitl_jax.choices.checks import is_whole, require, require_whole
+from hitl_jax.choices.checks import is_whole, require_whole
 from hitl_jax.choices.fields import (
     among,
     checked_by,
@@ -286,11 +286,11 @@ def validate_hyper(hyper: Hyper, max_delay: int = MAX_DELAY) -> None:
         InvalidValue: one line with the name, the value and what is allowed.
     """
     require_fields(hyper)
-    require("boundary_high", hyper.boundary_high, at_least=hyper.boundary_low)
-    require(
-        "initial_boundary",
-        hyper.initial_boundary,
-        at_least=hyper.boundary_low,
-        at_most=hyper.boundary_high,
-    )
+    low, first, high = hyper.boundary_low, hyper.initial_boundary, hyper.boundary_high
+    if not low <= high:
+        why = f"must be at least boundary_low {low:g}"
+        raise InvalidValue("boundary_high", high, why, mentions=("boundary_low",))
+    if not low <= first <= high:
+        why = f"must be at least boundary_low {low:g} and at most boundary_high {high:g}"
+        raise InvalidValue("initial_boundary", first, why, ("boundary_low", "boundary_high"))
     validate_human_params(hyper.human, max_delay)

@@ -37,8 +37,11 @@ def test_bad_choices_are_named(change, message):
         ({"delta_minus": -0.001}, "delta_minus -0.001: must be at least 0"),
         ({"gamma": 1.5}, "gamma 1.5: must be at least 0 and at most 1"),
         ({"gamma": float("nan")}, "gamma nan: must be a finite number"),
-        ({"initial_boundary": 9.0}, "initial_boundary 9.0: must be at least 0.05 and at most"),
-        ({"boundary_high": 0.01}, "boundary_high 0.01: must be at least 0.05"),
+        (
+            {"initial_boundary": 9.0},
+            "initial_boundary 9.0: must be at least boundary_low 0.05 and at most",
+        ),
+        ({"boundary_high": 0.01}, "boundary_high 0.01: must be at least boundary_low 0.05"),
         ({"takeover_steps": 0}, "takeover_steps 0: must be at least 1"),
         ({"feedback": float("inf")}, "feedback inf: must be a finite number"),
     ],

@@ -287,6 +287,7 @@ def test_another_configuration_is_refused_with_the_difference(swept, capsys):
         (["--frobnicate"], "--frobnicate"),
         # Each names the option that was given, too.
         (["--chunk", "2000"], "--capacity 2000: must be at least 4000, twice --chunk"),
+        (["--boundary-low", "2"], "--boundary-high 1.5: must be at least --boundary-low 2"),
         (["--chunk", "2", "--capacity", "6"], "--n-step 4: must be at most 3, half of --capacity"),
         (
             ["--human-policy", "missing.npz", "--human-actions", "nosuch:x"],
