@@ -92,6 +92,10 @@ class AgentConfig:
         boundary_source: how line 6 and line 8 of Algorithm 1 meet:
         boundary_hidden_sizes: widths of the boundary networks' hidden layers.
         boundary_batch_size: samples in a minibatch of the boundary learner.
+        risk_hidden_sizes: widths of the risk critic's hidden layers.
+        risk_batch_size: states in a minibatch of the risk critic.
+        risk_horizon: a state's risk is the probability of a fall within so many steps of the
+            machine's.
         indicator: the safety indicator c_t:
         danger: the simulated human's test of danger:
         human_parts: what stands between danger and the human's judgement, in this order:
@@ -113,6 +117,9 @@ class AgentConfig:
     boundary_source: str = choice("rule", SOURCES)
     boundary_hidden_sizes: tuple[int, ...] = checked_by((32, 32), _require_layers)
     boundary_batch_size: int = whole(64, 1, _MOST_UNITS)
+    risk_hidden_sizes: tuple[int, ...] = checked_by((64, 64), _require_layers)
+    risk_batch_size: int = whole(64, 1, _MOST_UNITS)
+    risk_horizon: int = whole(50, 1, _MOST_UNITS, unit="steps")
     indicator: str = choice("hull_angle", INDICATORS)
     danger: str = choice("threshold", DANGER_MODELS)
     human_parts: tuple[str, ...] = choices(ALL_PARTS, HUMAN_PARTS)
@@ -169,6 +176,7 @@ class Hyper:
         boundary_noise: standard deviation of the exploration of π_θ.
         boundary_actor_learning_rate: α^θ.
         boundary_critic_learning_rate: α^ω.
+        risk_learning_rate: Adam's step size for the risk critic.
         alarm_reward: ρ, the size of r'_t.
         feedback: r(s, a^h), negative for a punishment. Given at every step of an intervention
             unless the schedule says otherwise: a takeover of ten steps pays it ten times.
@@ -198,6 +206,7 @@ class Hyper:
     boundary_noise: float = number(0.02, 0, unit="rad")
     boundary_actor_learning_rate: float = number(1e-4, 0.0)
     boundary_critic_learning_rate: float = number(1e-3, 0.0)
+    risk_learning_rate: float = number(3e-4, 0.0)
     alarm_reward: float = number(1.0, 0)
     feedback: float = number(-20.0)
     takeover_steps: int = whole(10, 1, unit="steps")

@@ -53,6 +53,27 @@ class BoundaryTransition:
 
 
 @struct.dataclass
+class Outcome:
+    """What followed a state within the risk critic's horizon, while the machine acted.
+
+    Shapes are for one state; a minibatch has a leading axis B.
+
+    Attributes:
+        observation: s_t, [O].
+        fell: 1 where the walker fell, [].
+        cut_off: 1 where time was up or the human came before anything else had happened, [].
+        last_observation: the state in which that was, [O].
+        counts: 0 where nothing can be learned from the state, [].
+    """
+
+    observation: chex.Array
+    fell: chex.Array
+    cut_off: chex.Array
+    last_observation: chex.Array
+    counts: chex.Array
+
+
+@struct.dataclass
 class LearnerState:
     """The task learner of one run.
 
@@ -91,6 +112,34 @@ class BoundaryState:
 
 
 @struct.dataclass
+class RiskCritic:
+    """What gives the risk of a state.
+
+    Attributes:
+        network: parameters of the network.
+        slope: logarithm of what its logits are multiplied with, [].
+        offset: what is added to them, [].
+    """
+
+    network: Params
+    slope: chex.Array
+    offset: chex.Array
+
+
+@struct.dataclass
+class RiskState:
+    """The risk critic of one run, and its optimiser.
+
+    Attributes:
+        critic: what gives the risk.
+        optimizer: state of Adam for `critic.network`.
+    """
+
+    critic: RiskCritic
+    optimizer: Any
+
+
+@struct.dataclass
 class TrainState:
     """All that learning changes in one run.
 
@@ -98,11 +147,13 @@ class TrainState:
         learner: the task learner.
         boundary: the boundary learner.
         key: typed PRNG key of the run's learning, [].
+        risk: the risk critic; None in a team that does not look at it.
     """
 
     learner: LearnerState
     boundary: BoundaryState
     key: chex.PRNGKey
+    risk: RiskState | None = None
 
 
 @struct.dataclass
@@ -112,7 +163,9 @@ class Behavior:
     Attributes:
         actor: parameters of μ.
         boundary_actor: parameters θ of π_θ.
+        risk: what gives the risk of a state; None in a team that does not look at it.
     """
 
     actor: Params
     boundary_actor: Params
+    risk: RiskCritic | None = None

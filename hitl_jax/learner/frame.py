@@ -12,6 +12,12 @@ import chex
 import jax.numpy as jnp
 
 
+GOES_ON, FALL, FINISHED, CUT_OFF = range(4)
+"""What became of the machine's walk in a step, `Frame.event`: it went on; the walker fell; the
+episode ended otherwise, so that no fall can follow; or what the machine would have come to is not
+known, since time was up, or the human reset the walker or acted."""
+
+
 class Frame(NamedTuple):
     """What the replay keeps of a tick.
 
@@ -25,6 +31,8 @@ class Frame(NamedTuple):
         boundary: τ_t, [].
         next_boundary: τ_{t+1} of line 8, [].
         boundary_reward: r'_t, [].
+        event: one of `GOES_ON`, `FALL`, `FINISHED`, `CUT_OFF`, []; known when the walker has
+            answered.
     """
 
     observation: chex.Array
@@ -36,6 +44,7 @@ class Frame(NamedTuple):
     boundary: chex.Numeric
     next_boundary: chex.Numeric
     boundary_reward: chex.Numeric
+    event: chex.Numeric
 
 
 class Flags(NamedTuple):

@@ -203,3 +203,21 @@ class BoundaryCritic(nn.Module):
         for size in self.hidden_sizes:
             x = nn.relu(nn.Dense(size, kernel_init=_kernel_init)(x))
         return nn.Dense(1, kernel_init=_kernel_init)(x)[..., 0]
+
+
+class RiskNetwork(nn.Module):
+    """The logit of the risk of a state.
+
+    Attributes:
+        hidden_sizes: widths of the hidden layers.
+    """
+
+    hidden_sizes: Sequence[int]
+
+    @nn.compact
+    def __call__(self, observation: chex.Array) -> chex.Array:
+        """Maps observations [..., O] to logits [...]."""
+        x = observation
+        for size in self.hidden_sizes:
+            x = nn.relu(nn.Dense(size, kernel_init=_kernel_init)(x))
+        return nn.Dense(1, kernel_init=_kernel_init)(x)[..., 0]

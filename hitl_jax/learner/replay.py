@@ -9,8 +9,8 @@ start of a transition.
 A frame is stored in two parts, `seen` (observation, action) and `outcome` (the others). An n-step
 transition reads `seen` of two frames and `outcome` of n, and reading memory is what drawing costs.
 
-Memory: capacity · R · width · 4 bytes, with width = O + A + 7. BipedalWalker has width 35: 200,000
-frames of one run take 28 MB, of thirty runs 840 MB. The pool D of Algorithm 1 is the same ring read
+Memory: capacity · R · width · 4 bytes, with width = O + A + 8. BipedalWalker has width 36: 200,000
+frames of one run take 29 MB, of thirty runs 860 MB. The pool D of Algorithm 1 is the same ring read
 through `sample_boundary`: it needs three of its columns more than the task does.
 """
 
@@ -21,8 +21,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from hitl_jax.learner.frame import Layout
-from hitl_jax.types import BoundaryTransition, Transition
+from hitl_jax.learner.frame import CUT_OFF, FALL, Layout
+from hitl_jax.types import BoundaryTransition, Outcome, Transition
 
 _DRAWS = 2
 """Draws for each start. Frames that are final are passed over; the chance that all draws are final
@@ -35,7 +35,7 @@ class Replay:
 
     Attributes:
         seen: observation and action of each frame, [R, T, O + A].
-        outcome: the other columns of each frame, from `Layout.reward` on, [R, T, 7].
+        outcome: the other columns of each frame, from `Layout.reward` on, [R, T, 8].
         cursor: frames written so far in each run's column, [].
         start: value of the cursor when the run in each column began, [R].
     """
@@ -240,6 +240,51 @@ def sample_boundary(
         discount=gamma * (1.0 - came(layout.terminated)),
         next_observation=after[:, layout.observation],
         next_boundary=came(layout.next_boundary),
+    )
+
+
+def sample_outcomes(
+    replay: Replay,
+    layout: Layout,
+    column: chex.Array,
+    key: chex.PRNGKey,
+    batch_size: int,
+    horizon: int,
+    newest: chex.Array | int = 0,
+    count: chex.Array | int | None = None,
+) -> Outcome:
+    """Draws states of one run, uniformly, with what followed them within a horizon.
+
+    Args:
+        replay: the ring; `num_starts(…, horizon)` must be above `newest`.
+        layout: its columns.
+        column: the run's column, [].
+        key: consumed.
+        batch_size: B.
+        horizon: H, steps.
+        newest: frames before the last H that are passed over, [].
+        count: frames before those from which is drawn, []; None is all.
+
+    Returns:
+        A minibatch, leading axis B. Frames from which the machine took no step do not count.
+    """
+    capacity = replay.seen.shape[1]
+    behind = num_starts(replay, column, horizon) - newest
+    count = behind if count is None else jnp.minimum(behind, count)
+    first = replay.cursor - horizon - newest - count
+    begin = first + jax.random.randint(key, (batch_size,), 0, jnp.maximum(count, 1), jnp.int32)
+    window = (begin[:, None] + jnp.arange(horizon, dtype=jnp.int32)) % capacity
+    events = replay.outcome[column, window, layout.event - layout.reward]
+    steps = jnp.argmax(events > 0.0, axis=1)  # 0 where nothing happened, as `event` then says.
+    event = jnp.take_along_axis(events, steps[:, None], axis=1)[:, 0]
+    cut_off = event == CUT_OFF
+    final = replay.outcome[column, window[:, 0], layout.final - layout.reward] > 0.5
+    return Outcome(
+        observation=replay.seen[column, window[:, 0], layout.observation],
+        fell=(event == FALL).astype(jnp.float32),
+        cut_off=cut_off.astype(jnp.float32),
+        last_observation=replay.seen[column, (begin + steps) % capacity, layout.observation],
+        counts=(~final & ~(cut_off & (steps == 0))).astype(jnp.float32),
     )
 
 

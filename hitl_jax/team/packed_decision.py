@@ -49,5 +49,6 @@ def act_or_begin(
         boundary=decision.boundary,
         next_boundary=decision.next_boundary,
         boundary_reward=decision.boundary_reward,
+        event=unknown,
     )
     return state, pack(frame, Flags(*(getattr(decision, name) for name in Flags._fields)))

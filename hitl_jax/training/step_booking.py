@@ -15,8 +15,8 @@ import numpy as np
 from hitl_jax.arbiter import shaped_reward
 from hitl_jax.config import AgentConfig, RunHyper
 from hitl_jax.envs import StepBatch
-from hitl_jax.learner.frame import Layout, flag_of, flags_of
-from hitl_jax.results.episode_measures import Episode
+from hitl_jax.learner.frame import CUT_OFF, FALL, FINISHED, Layout, flag_of, flags_of
+from hitl_jax.results.episode_measures import EndRule, Episode
 from hitl_jax.results.recorded_episodes import STEP_COLUMNS
 
 
@@ -115,12 +115,42 @@ def stored_ends(
     return ends, (truncated | human_reset) & ~ends
 
 
+def event_of(
+    reward: np.ndarray,
+    terminated: np.ndarray,
+    truncated: np.ndarray,
+    human_reset: np.ndarray,
+    human_action: np.ndarray,
+    ends: EndRule,
+) -> np.ndarray:
+    """What became of the machine's walk in a step, see `learner.frame`; [...] as each argument.
+
+    A fall in a step in which the human acts is not the machine's.
+
+    Args:
+        reward: r(s, a) of the environment.
+        terminated: the environment ended the task, bool.
+        truncated: the environment cut the episode off, bool.
+        human_reset: the human ended the episode, bool.
+        human_action: the human's action was executed, bool.
+        ends: what it means that the environment ends an episode.
+    """
+    fell = np.zeros_like(terminated)
+    if ends.fall_reward is not None:
+        fell = terminated & (reward <= ends.fall_reward)
+    finished = terminated & ~fell & ends.goal
+    cut = truncated | human_reset | terminated
+    event = np.select([human_action, fell, finished, cut], [CUT_OFF, FALL, FINISHED, CUT_OFF])
+    return event.astype(np.float32)
+
+
 def frames_of(
     steps: np.ndarray,
     layout: Layout,
     config: AgentConfig,
     feedback: np.ndarray,
     intervened: np.ndarray,
+    ends: EndRule,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Frames for the replay.
 
@@ -130,6 +160,7 @@ def frames_of(
         config: when the human's feedback is given, and whether a reset ends the bootstrap.
         feedback: r(s, a^h), [R].
         intervened: whether the human intervened in the episode under way before, bool [R].
+        ends: what it means that the environment ends an episode.
 
     Returns:
         Frames [R, U, W], and `intervened` after them.
@@ -144,6 +175,14 @@ def frames_of(
     so_far, intervened = _intervened(control, ended, intervened)
     reward, schedule = frames[..., layout.reward], config.feedback_schedule
     shaped = shaped_reward(reward, control, feedback[:, None], schedule, ended, so_far)
+    frames[..., layout.event] = event_of(
+        reward,
+        terminated,
+        truncated,
+        human_reset,
+        live & flag_of(steps, layout, "human_action"),
+        ends,
+    )
     frames[..., layout.reward] = np.where(live, shaped, 0.0)
     frames[..., layout.terminated], frames[..., layout.truncated] = stored_ends(
         terminated, truncated, human_reset, config.human_reset_terminates

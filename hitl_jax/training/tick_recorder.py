@@ -119,7 +119,7 @@ class TickRecorder:
             for slot in end.ended.nonzero()[0].tolist():
                 self._end_episode(slot)
         frames, self._intervened = frames_of(
-            steps, layout, self._config, self._feedback, self._intervened
+            steps, layout, self._config, self._feedback, self._intervened, self._ends
         )
         for run in self.runs():
             run.ticks += self._chunk
