@@ -58,6 +58,16 @@ def forgetful():
     )
 
 
+def of_four_bits():
+    return HumanPart(
+        lambda: jnp.zeros(2, "int4"), lambda state: state, lambda state, *_: (state, True), _same
+    )
+
+
+def _same(state, *_):
+    return state
+
+
 def one_action(action_size):
     return policy(lambda params, seen: jnp.zeros(action_size + 1), None)
 

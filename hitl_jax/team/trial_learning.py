@@ -17,7 +17,7 @@ from hitl_jax.types import Transition
 from hitl_jax.xla.pytree_words import pack
 
 
-@functools.lru_cache(maxsize=32)
+@functools.lru_cache(maxsize=8)
 def state_of_learner(learner: TaskLearner, sizes: Sizes, told: str) -> Any:
     """Tries a learner: once, since it takes longer than all else of a team.
 

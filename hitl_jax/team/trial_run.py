@@ -23,7 +23,7 @@ from hitl_jax.team.parts import Agent
 from hitl_jax.team.trial_learning import state_of_learner
 from hitl_jax.team.trial_shapes import Blamed, Given, given_of, many, sizes_of
 from hitl_jax.types import Behavior
-from hitl_jax.xla.pytree_words import pack
+from hitl_jax.xla.pytree_words import pack, to_pieces
 
 
 def require_runs(agent: Agent, names: Mapping[str, str]) -> None:
@@ -40,7 +40,7 @@ def require_runs(agent: Agent, names: Mapping[str, str]) -> None:
     _tried(agent, tuple(names.items()))
 
 
-@functools.lru_cache(maxsize=32)
+@functools.lru_cache(maxsize=8)
 def _tried(agent: Agent, named: tuple[tuple[str, str], ...]) -> None:
     """Equal teams are tried once: it takes a fraction of a second."""
     names = dict(named)
@@ -83,11 +83,12 @@ def _try_human(agent: Agent, given: Given, blamed: Mapping[str, Blamed]) -> None
 def _try_part(part: HumanPart, given: Given, blamed: Blamed) -> None:
     def live(
         hyper: RunHyper, seen: chex.Array, flag: chex.Array, key: chex.PRNGKey
-    ) -> tuple[chex.ArrayTree, chex.Array]:
+    ) -> tuple[list[chex.Array], chex.Array]:
         first = begun("the human", part.init())
         state = kept("the human", part.begin_episode(first), first)
         after, dangerous = part.judge(state, hyper.human, seen, flag, key)
-        return kept("the human", part.notify(after, hyper.human, flag, flag), first), dangerous
+        after = kept("the human", part.notify(after, hyper.human, flag, flag), first)
+        return to_pieces(after), dangerous
 
     _, dangerous = blamed.shapes(live, given.hyper, given.seen, given.flag, given.key)
     blamed.require(dangerous, "one truth value", real=False)
@@ -96,11 +97,11 @@ def _try_part(part: HumanPart, given: Given, blamed: Blamed) -> None:
 def _try_hands(agent: Agent, given: Given, blamed: Blamed) -> None:
     source, owner = agent.source, "the human's actions"
 
-    def live(seen: chex.Array, key: chex.PRNGKey) -> tuple[chex.ArrayTree, chex.Array]:
+    def live(seen: chex.Array, key: chex.PRNGKey) -> tuple[list[chex.Array], chex.Array]:
         first = begun(owner, source.init())
         state = kept(owner, source.begin_episode(first), first)
         after, action = source.act(state, seen, key)
-        return kept(owner, after, first), action
+        return to_pieces(kept(owner, after, first)), action
 
     _, action = blamed.shapes(live, given.seen, given.key)
     blamed.require(action, f"{agent.config.action_size} actions", given.noise.shape)
@@ -140,11 +141,11 @@ def _try_release(agent: Agent, given: Given, blamed: Blamed) -> None:
 
 
 def _try_intervention(agent: Agent, given: Given, blamed: Blamed) -> None:
-    def live(hyper: RunHyper, flag: chex.Array) -> tuple[chex.ArrayTree, Ruling]:
+    def live(hyper: RunHyper, flag: chex.Array) -> tuple[list[chex.Array], Ruling]:
         state = begun("the intervention", agent.intervention.init())
         now = Situation(flag, flag, flag, hyper.takeover_steps, hyper.extra)
         after, ruling = agent.intervention.rule(state, now)
-        return kept("the intervention", after, state), ruling
+        return to_pieces(kept("the intervention", after, state)), ruling
 
     _, ruling = blamed.shapes(live, given.hyper, given.flag)
     if not isinstance(ruling, Ruling):

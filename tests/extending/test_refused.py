@@ -26,6 +26,7 @@ _REFUSED = [
     ("danger", "three_truths", "must give one truth value, gives bool[24]"),
     ("danger", "unknown_option", "raised KeyError: 'nowhere'"),
     ("danger", "forgetful", "raised ValueError: state of the human: a leaf was int32[]"),
+    ("danger", "of_four_bits", "raised ValueError: a leaf of type int4: must have 8, 16 or 32"),
     ("human_actions", "one_action", "must give 4 actions, gives float32[5]"),
     ("human_actions", "asks", "raised KeyError: 'battery'"),
     ("boundary_source", "counting", "int32[2]: must be float32, [] or [K]"),
