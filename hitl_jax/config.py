@@ -32,7 +32,7 @@ from hitl_jax.choices.fields import (
 )
 from hitl_jax.choices.options import require_names
 from hitl_jax.choices.registry import require_trusted
-from hitl_jax.errors import InvalidValue
+from hitl_jax.errors import InvalidValue, name_of
 from hitl_jax.human import (
     ALL_PARTS,
     DANGER_MODELS,
@@ -62,6 +62,8 @@ class Method(enum.StrEnum):
 
 def _require_layers(name: str, sizes: Any) -> None:
     """Checks widths of hidden layers; InvalidValue names field, value and what is allowed."""
+    if not isinstance(sizes, tuple):
+        raise InvalidValue(name, name_of(sizes), "must be a tuple of widths")
     if not sizes or any(not is_whole(size) or size < 1 for size in sizes):
         raise InvalidValue(name, sizes, "at least one layer, each of 1 or more")
     for size in sizes:
@@ -133,6 +135,9 @@ class AgentConfig:
 
     def __post_init__(self) -> None:
         """Checks every field; InvalidValue names it, its value and what is allowed."""
+        for name, value in vars(self).items():
+            if isinstance(value, list):  # As JSON has them; programs are kept by hashable choices.
+                object.__setattr__(self, name, tuple(value))
         require_fields(self)
         if self.matmul_precision != "float32" and len(self.hidden_sizes) < 2:
             raise InvalidValue(

@@ -1,7 +1,8 @@
 """What can go wrong, each in one line that a user can act upon."""
 
+import contextlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 
 class InvalidValue(ValueError):
@@ -64,3 +65,43 @@ class LaunchError(Exception):
 def first_line(error: BaseException) -> str:
     """What an error says first; its type, if it says nothing."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
+def said_by(error: BaseException) -> str:
+    """An error's type, and what it says first."""
+    kind, text = type(error).__name__, first_line(error)
+    return kind if text == kind else f"{kind}: {text}"
+
+
+def name_of(value: object) -> str:
+    """A few words for a value in messages, without all that an object holds."""
+    name = getattr(value, "__qualname__", None)
+    if isinstance(name, str):
+        return name
+    kind = type(value).__name__
+    plain = isinstance(value, bool | int | float | str | bytes)
+    return f"{kind} {value!r}"[:100] if plain else kind
+
+
+@contextlib.contextmanager
+def blamed_on(
+    name: str, value: str, passes: tuple[type[BaseException], ...] = ()
+) -> Iterator[None]:
+    """Makes one line of whatever a user's own code raises within a `with`.
+
+    Args:
+        name: of the value that brought the code.
+        value: as messages name it.
+        passes: errors that go through as they are.
+
+    Raises:
+        InvalidValue: with the error's type and text.
+    """
+    try:
+        yield
+    except (InvalidValue, ResultsError, WalkerError, LaunchError):
+        raise  # It is one line already.
+    except passes:
+        raise
+    except (Exception, SystemExit) as error:  # Code that exits would end the command unexplained.
+        raise InvalidValue(name, value, f"raised {said_by(error)}") from error

@@ -4,7 +4,9 @@ import re
 import pytest
 
 from hitl_jax.config import AgentConfig, Hyper, Method, RunHyper, hyper_for, validate_hyper
+from hitl_jax.human import simulated_human
 from hitl_jax.learner.algorithms import LEARNERS
+from hitl_jax.team.agent import make_agent
 
 
 @pytest.mark.parametrize(
@@ -23,7 +25,11 @@ from hitl_jax.learner.algorithms import LEARNERS
         ({"danger": "none"}, "danger none: must be one of threshold"),
         ({"hidden_sizes": ()}, "hidden_sizes (): at least one layer"),
         ({"hidden_sizes": (0,)}, "hidden_sizes (0,): at least one layer"),
+        ({"hidden_sizes": 8}, "hidden_sizes int 8: must be a tuple of widths"),
+        ({"human_parts": "delay"}, "human_parts str 'delay': must be a tuple: each must be one of"),
         ({"n_step": 0}, "n_step 0: must be at least 1"),
+        ({"layer_norm": "no"}, "layer_norm no: must be True or False"),
+        ({"human_reset_terminates": "false"}, "human_reset_terminates false: must be True or"),
     ],
 )
 def test_bad_choices_are_named(change, message):
@@ -53,6 +59,15 @@ def test_bad_numbers_are_named(change, message):
 
 def test_the_defaults_are_valid():
     validate_hyper(Hyper())
+
+
+def test_lists_become_tuples():
+    config = AgentConfig(hidden_sizes=[8, 8], boundary_hidden_sizes=[4], human_parts=["delay"])
+    same = AgentConfig(hidden_sizes=(8, 8), boundary_hidden_sizes=(4,), human_parts=("delay",))
+    assert config == same
+    assert hash(config) == hash(same)
+    assert make_agent(config) == make_agent(same)
+    assert simulated_human(parts=["delay"]) is simulated_human(parts=("delay",))
 
 
 def test_methods_share_everything_but_their_flags():

@@ -10,7 +10,7 @@ import chex
 import jax.numpy as jnp
 from flax import struct
 
-from hitl_jax.choices.options import Option
+from hitl_jax.choices.options import Option, options_of
 from hitl_jax.choices.registry import Registry
 
 State = Any
@@ -68,7 +68,10 @@ class Intervention(NamedTuple):
 
 
 INTERVENTIONS: Registry[Intervention] = Registry(
-    "intervention", "intervention", lambda value: isinstance(value, Intervention)
+    "intervention",
+    "intervention",
+    lambda value: isinstance(value, Intervention),
+    require=options_of,
 )
 
 

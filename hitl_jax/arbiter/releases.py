@@ -6,6 +6,7 @@ from typing import NamedTuple
 import chex
 
 from hitl_jax.boundary import alarm
+from hitl_jax.choices.options import options_of
 from hitl_jax.choices.registry import Registry
 
 
@@ -30,7 +31,7 @@ class Takeover(NamedTuple):
 Release = Callable[[Takeover], chex.Array]
 """Maps what is seen to whether a takeover goes on, bool []."""
 
-RELEASES: Registry[Release] = Registry("release", "release", callable)
+RELEASES: Registry[Release] = Registry("release", "release", callable, require=options_of)
 
 
 @RELEASES.register("judgement", "the human judges the state safe")

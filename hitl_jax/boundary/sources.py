@@ -9,7 +9,7 @@ from typing import NamedTuple
 import chex
 import jax.numpy as jnp
 
-from hitl_jax.choices.options import Option
+from hitl_jax.choices.options import Option, options_of
 from hitl_jax.choices.registry import Registry
 
 
@@ -42,7 +42,9 @@ class Move(NamedTuple):
 class BoundarySource(NamedTuple):
     """How τ_t is computed: from the network, from the value that line 8 moves, or by another rule.
 
-    `carry` is an array that lasts over the episodes of a run.
+    `carry` lasts over the episodes of a run: one array of float32, [] or [K], whose shape stays as
+    it is. (A plain `float`, or an array of float64, is made one.) It is saved with the run, and
+    beside its networks as `boundary`.
 
     Attributes:
         init: maps τ_0 to the first carry.
@@ -59,7 +61,10 @@ class BoundarySource(NamedTuple):
 
 
 SOURCES: Registry[BoundarySource] = Registry(
-    "boundary source", "boundary_source", lambda value: isinstance(value, BoundarySource)
+    "boundary source",
+    "boundary_source",
+    lambda value: isinstance(value, BoundarySource),
+    require=options_of,
 )
 
 

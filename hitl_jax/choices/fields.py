@@ -15,9 +15,11 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
+import numpy as np
+
 from hitl_jax.choices.checks import GREATEST, MOST, one_of, require, require_whole
 from hitl_jax.choices.registry import Registry
-from hitl_jax.errors import InvalidValue
+from hitl_jax.errors import InvalidValue, name_of
 
 T = TypeVar("T")
 
@@ -62,6 +64,8 @@ def choices(default: tuple[str, ...], registry: Registry[Any]) -> Any:
     """A field that names several choices, each at most once."""
 
     def check(name: str, value: Any) -> None:
+        if not isinstance(value, tuple):
+            raise InvalidValue(name, name_of(value), f"must be a tuple: each {registry.allowed}")
         for each in value:
             registry.check(each, name)
         if len(set(value)) < len(value):
@@ -77,7 +81,12 @@ def among(default: str, allowed: Sequence[str]) -> Any:
 
 def flag(default: bool) -> Any:
     """A field that is true or false."""
-    return _field(default, lambda name, value: None)
+    return _field(default, _require_flag)
+
+
+def _require_flag(name: str, value: Any) -> None:
+    if not isinstance(value, bool | np.bool_):  # "no" is true.
+        raise InvalidValue(name, value, "must be True or False")
 
 
 def checked_by(default: Any, check: Check, unit: str = "") -> Any:

@@ -1,10 +1,11 @@
 """Numbers that a choice brings: what they are called, and which values they can have."""
 
+import numbers
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from hitl_jax.choices.checks import GREATEST, require
-from hitl_jax.errors import InvalidValue
+from hitl_jax.errors import InvalidValue, name_of
 
 
 class Option(NamedTuple):
@@ -27,6 +28,34 @@ class Option(NamedTuple):
     at_most: float = GREATEST
 
 
+def options_of(choice: Any) -> tuple[Option, ...]:
+    """The options of a choice, checked; none where it has no attribute `options`.
+
+    Raises:
+        InvalidValue: one line, for options that are none, or whose default is not allowed.
+    """
+    options = getattr(choice, "options", ())
+    if not isinstance(options, tuple) or not all(isinstance(each, Option) for each in options):
+        raise InvalidValue("options", name_of(options), f"must be a tuple of {Option.__qualname__}")
+    for option in options:
+        _require_option(option)
+    return options
+
+
+def _require_option(option: Option) -> None:
+    name = option.name
+    if not (isinstance(name, str) and name.isidentifier()):
+        raise InvalidValue("name of an option", name_of(name), "must be a word, as `drift`")
+    for what in ("doc", "unit"):
+        if not isinstance(getattr(option, what), str):
+            raise InvalidValue(f"{what} of option {name}", ..., "must be text")
+    for what in ("at_least", "at_most"):
+        bound = getattr(option, what)
+        if not isinstance(bound, numbers.Real) or bound != bound:
+            raise InvalidValue(f"{what} of option {name}", name_of(bound), "must be a number")
+    require(f"default of option {name}", option.default, option.at_least, option.at_most)
+
+
 def all_options(parts: Iterable[Any]) -> dict[str, Option]:
     """All options of some choices, by name.
 
@@ -34,11 +63,11 @@ def all_options(parts: Iterable[Any]) -> dict[str, Option]:
         parts: choices; those without an attribute `options` have none.
 
     Raises:
-        InvalidValue: if two of them bring different options of one name.
+        InvalidValue: if two of them bring different options of one name; or see `options_of`.
     """
     found: dict[str, Option] = {}
     for part in parts:
-        for option in getattr(part, "options", ()):
+        for option in options_of(part):
             if found.setdefault(option.name, option) != option:
                 raise InvalidValue("extra", option.name, "two choices have an option of this name")
     return found

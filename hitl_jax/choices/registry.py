@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from types import ModuleType
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from hitl_jax.errors import InvalidValue, ResultsError, first_line
+from hitl_jax.errors import InvalidValue, ResultsError, blamed_on, name_of, said_by
 
 T = TypeVar("T")
 
@@ -25,6 +25,8 @@ _LONGEST = 100
 """Of a name from somebody else's file in a message."""
 
 _IMPORTED = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
+_NAME = re.compile(r"\w[\w.+-]*")
+_REGISTRIES: "list[Registry[Any]]" = []
 
 
 class Entry(NamedTuple):
@@ -47,7 +49,15 @@ class Registry(Mapping[str, Entry], Generic[T]):
         option: name of the option by which one is chosen.
     """
 
-    def __init__(self, kind: str, option: str, fits: Callable[[Any], bool], made_once: bool = True):
+    def __init__(
+        self,
+        kind: str,
+        option: str,
+        fits: Callable[[Any], bool],
+        made_once: bool = True,
+        require: Callable[[T], Any] = lambda value: None,
+        passes: tuple[type[Exception], ...] = (),
+    ):
         """Begins without entries.
 
         Args:
@@ -55,12 +65,15 @@ class Registry(Mapping[str, Entry], Generic[T]):
             option: name of the option by which one is chosen, for example `boundary_source`.
             fits: whether an object is one of this kind.
             made_once: whether a name gives the same object each time, for equal arguments. Programs
-                are compiled once for a team of equal parts.
+                are compiled once for a team of equal parts, which must therefore be hashable.
+            require: raises ValueError, one line, for one of this kind that cannot be used.
+            passes: what the registered functions raise that is one line already.
         """
         self.kind, self.option = kind, option
-        self._fits = fits
+        self._fits, self._require, self._passes = fits, require, passes
         self._made: dict[Any, T] | None = {} if made_once else None
         self._entries: dict[str, Entry] = {}
+        _REGISTRIES.append(self)
 
     def register(self, name: str, doc: str) -> Callable[[Any], Any]:
         """A decorator that registers a choice, or a function that makes it.
@@ -70,10 +83,12 @@ class Registry(Mapping[str, Entry], Generic[T]):
             doc: a few words for `--help`, without a full stop.
 
         Raises:
-            ValueError: if the name is taken, or would be read as `module:name`.
+            ValueError: if the name is taken, or is none that can be written in a command.
         """
-        if name in self._entries or ":" in name:
-            raise ValueError(f"{self.kind} {name}: is registered already, or has a colon")
+        if not (isinstance(name, str) and _NAME.fullmatch(name)):
+            raise ValueError(f"{self.kind} {name!r}: must be letters, digits, _, -, + and .")
+        if name in self._entries:
+            raise ValueError(f"{self.kind} {name}: is registered already")
 
         def add(value: Any) -> Any:
             self._entries[name] = Entry(doc, value)
@@ -102,7 +117,8 @@ class Registry(Mapping[str, Entry], Generic[T]):
         return f"{', '.join(named)}, or one of your own as `module:name`"
 
     @property
-    def _allowed(self) -> str:
+    def allowed(self) -> str:
+        """What can be chosen, for messages."""
         return f"must be one of {', '.join(self._entries)}, or module:name of your own"
 
     def check(self, choice: Any, option: str | None = None) -> None:
@@ -117,7 +133,8 @@ class Registry(Mapping[str, Entry], Generic[T]):
         """
         known = isinstance(choice, str) and (choice in self._entries or is_imported(choice))
         if not known:
-            raise InvalidValue(option or self.option, choice, self._allowed)
+            told = choice if isinstance(choice, str) else name_of(choice)
+            raise InvalidValue(option or self.option, told, self.allowed)
 
     def make(self, choice: Any, *args: Any, **named: Any) -> T:
         """The choice itself.
@@ -132,33 +149,59 @@ class Registry(Mapping[str, Entry], Generic[T]):
             InvalidValue: one line with the option, the value and what is allowed.
         """
         if not isinstance(choice, str):
-            return self._from(choice, _name_of(choice), args, named)
+            return self._from(choice, name_of(choice), args, named)
         self.check(choice)
         asked = choice, args, tuple(named.items())
         if self._made is None or asked not in self._made:
             entry = self._entries.get(choice)
             value = self._imported(choice) if entry is None else entry.value
-            try:
-                made = self._from(value, choice, args, named)
-            except (TypeError, ValueError) as error:
-                if isinstance(error, InvalidValue) or entry is not None:
-                    raise
-                raise InvalidValue(self.option, choice, f"raised: {first_line(error)}") from error
+            passes = () if entry is None else self._passes
+            made = self._from(value, choice, args, named, passes)
             if self._made is None:
                 return made
             self._made[asked] = made
         return self._made[asked]
 
-    def _from(self, value: Any, told: str, args: Any, named: Any) -> T:
+    def _from(
+        self,
+        value: Any,
+        told: str,
+        args: Any,
+        named: Any,
+        passes: tuple[type[Exception], ...] = (),
+    ) -> T:
         """What a value is, or makes; `told` is its name in messages."""
-        makes = callable(value) and not self._is_one(value)
-        if makes:
-            value = value(*args, **named)
-        if not self._is_one(value):
-            why = f"must give a {self.kind}, gives {_name_of(value)}"
-            raise InvalidValue(self.option, told, why if makes else self._allowed)
+        with blamed_on(self.option, told, passes):
+            makes = callable(value) and not self._is_one(value)
+            if makes:
+                value = value(*args, **named)
+            if not self._is_one(value):
+                article = "an" if self.kind[0] in "aeiou" else "a"
+                why = f"must give {article} {self.kind}, gives {name_of(value)}"
+                raise InvalidValue(self.option, told, why if makes else self.allowed)
         one: T = value
+        self.require(one, told)
         return one
+
+    def require(self, one: T, told: str, option: str | None = None) -> None:
+        """Checks one of this kind.
+
+        Args:
+            one: of this kind.
+            told: its name in messages.
+            option: by which it was chosen; this registry's by default.
+
+        Raises:
+            InvalidValue: one line, if it cannot be used.
+        """
+        with blamed_on(option or self.option, told):
+            try:
+                self._require(one)
+            except ValueError as error:
+                raise InvalidValue(option or self.option, told, str(error)) from error
+            if self._made is not None and not _is_hashable(one):
+                why = "must be hashable, as a frozen dataclass is"
+                raise InvalidValue(option or self.option, told, why)
 
     def _is_one(self, value: Any) -> bool:
         return not isinstance(value, type) and self._fits(value)
@@ -166,16 +209,33 @@ class Registry(Mapping[str, Entry], Generic[T]):
     def _imported(self, choice: str) -> Any:
         module, _, name = choice.partition(":")
         try:
-            return getattr(_import(module), name)
-        except AttributeError as error:
-            raise InvalidValue(self.option, choice, f"{module} has no {name}") from error
-        except Exception as error:  # Whatever a module does when it is imported.
-            why = f"{module} cannot be imported: {type(error).__name__}: {first_line(error)}"
+            found = _import(module)
+        except (Exception, SystemExit) as error:  # Whatever a module does when it is imported.
+            why = f"{module} cannot be imported: {said_by(error)}"
             raise InvalidValue(self.option, choice, why) from error
+        with blamed_on(self.option, choice):  # A module can have a `__getattr__` of its own.
+            if not hasattr(found, name):
+                raise InvalidValue(self.option, choice, f"{module} has no {name}")
+            return getattr(found, name)
 
 
 def _import(module: str) -> ModuleType:
-    """Imports a module that a user names, from the current folder too if it is nowhere else.
+    """Imports a module that a user names.
+
+    Where that fails, nothing that it registered stays: it will be run again when it is asked for
+    again, and then the names must be free.
+    """
+    before = [(registry, dict(registry._entries)) for registry in _REGISTRIES]
+    try:
+        return _found(module)
+    except BaseException:
+        for registry, entries in before:
+            registry._entries = entries
+        raise
+
+
+def _found(module: str) -> ModuleType:
+    """Imports a module, from the current folder too if it is nowhere else.
 
     `hitl-jax` does not look there by itself: of a folder that somebody sent, no file must run.
     """
@@ -187,6 +247,15 @@ def _import(module: str) -> ModuleType:
         sys.path.append(os.getcwd())
         importlib.invalidate_caches()
         return importlib.import_module(module)
+
+
+def _is_hashable(value: Any) -> bool:
+    """Whether a value is, with all that it holds."""
+    try:
+        hash(value)
+    except TypeError:
+        return False
+    return True
 
 
 def is_imported(choice: Any) -> bool:
@@ -226,9 +295,3 @@ def having(*names: str) -> Callable[[Any], bool]:
         *names: of the attributes.
     """
     return lambda value: all(hasattr(value, name) for name in names)
-
-
-def _name_of(value: Any) -> str:
-    """A few words for an object that is none of its kind."""
-    name = getattr(value, "__qualname__", None)
-    return name if isinstance(name, str) else f"{type(value).__name__} {value!r}"[:100]

@@ -18,6 +18,7 @@ BACKENDS: Registry[WalkerPool] = Registry(
     "backend",
     having("num_walkers", "observation_size", "action_size", "seedable", "step", "close"),
     made_once=False,
+    passes=(ValueError, ImportError, OSError),
 )
 """Each is made with `num_walkers`, `num_workers`, `env_id` and `seed`; see `make_pool`."""
 WALKER = "BipedalWalker-v3"

@@ -103,7 +103,7 @@ class DeviceExaminer:
             pool: of `num_walkers`; nobody else may step them.
             num_episodes: of one test.
         """
-        self._agent = as_tested(agent)
+        self._agent, self._trained = as_tested(agent), agent
         self._pool = pool
         self._program = jax.jit(
             functools.partial(_play, self._agent, _CHUNK), donate_argnums=(1, 2)
@@ -123,7 +123,7 @@ class DeviceExaminer:
             [Row() for _ in range(len(trial.policies) * trial.episodes)] for trial in trials
         ]
         blocks = [
-            _DeviceWalkers(self._agent, self._pool, index)
+            _DeviceWalkers(self._agent, self._trained, self._pool, index)
             for index in range(len(self._pool.blocks))
         ]
         while True:
@@ -145,8 +145,8 @@ class DeviceExaminer:
 class _DeviceWalkers:
     """The walkers of one device, L, in groups of 16."""
 
-    def __init__(self, agent: Agent, pool: JaxPool, index: int):
-        self._agent, self._pool, self._index = agent, pool, index
+    def __init__(self, agent: Agent, trained: Agent, pool: JaxPool, index: int):
+        self._agent, self._trained, self._pool, self._index = agent, trained, pool, index
         lanes = len(jax.tree.leaves(pool.walkers[index])[0])
         self._groups: list[_Group | None] = [None] * (lanes // _GROUP)
         self._slots = Slots(
@@ -177,7 +177,9 @@ class _DeviceWalkers:
 
     def _begin(self, place: int, lanes: slice, trial: Trial, group: _Group) -> None:
         snapshot = trial.policies[group.policy]
-        hyper = typed(frozen(trial.spec.hyper, human_present=trial.mode == "assisted"))
+        # As it was trained, with all options: policies side by side have the same numbers.
+        given = self._trained.with_extra(trial.spec.hyper)
+        hyper = typed(frozen(given, human_present=trial.mode == "assisted"))
         start = _GroupStart(
             _Policy(hyper, snapshot.behavior),
             snapshot.boundary,

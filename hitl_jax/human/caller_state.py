@@ -1,4 +1,4 @@
-"""What a human or a source of actions remembers, as a caller wrote it, made fit for a program.
+"""What a human or another part remembers, as a caller wrote it, made fit for a program.
 
 A state is a pytree of arrays whose types stay as they are at the start of a run. A caller may write
 plain numbers; types of 64 bits, which are all that Python and NumPy have by default, become those
@@ -11,6 +11,8 @@ import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from hitl_jax.errors import name_of
 
 _NARROWER = {"int64": jnp.int32, "uint64": jnp.uint32, "float64": jnp.float32}
 _ALLOWED = "arrays or numbers: bool, whole or real of up to 32 bits, or typed keys"
@@ -54,12 +56,19 @@ def kept(owner: str, state: Any, before: chex.ArrayTree) -> chex.ArrayTree:
             fits = jnp.result_type(leaf if weak else new, old) == old.dtype
         if new.shape != old.shape or not fits:
             raise ValueError(
-                f"state of {owner}: a leaf was {old.dtype}{list(old.shape)} and is "
-                f"{new.dtype}{list(new.shape)}; must be from the start what it becomes"
+                f"state of {owner}: a leaf was {form(old)} and is {form(new)}; must be from the "
+                "start what it becomes"
             )
         return new if _is_key(new) else jnp.asarray(new, old.dtype)
 
     return jax.tree.map(as_before, state, before)
+
+
+def form(state: Any) -> str:
+    """What a state is made of, in a few words: `float32[3]`, or `dict`."""
+    if not (hasattr(state, "dtype") and hasattr(state, "shape")):
+        return name_of(state)
+    return f"{state.dtype}{list(state.shape)}"
 
 
 def _array(owner: str, leaf: Any) -> chex.Array:

@@ -6,13 +6,17 @@ To add one, write a `HumanPart` that looks at the observation, and register it.
 import chex
 import jax.numpy as jnp
 
+from hitl_jax.choices.options import options_of
 from hitl_jax.choices.registry import Registry
 from hitl_jax.human.indicator import WALKER_OBSERVATION, hull_angle, weighted
 from hitl_jax.human.params import HumanParams
 from hitl_jax.human.part import HumanPart, memoryless
 
 DANGER_MODELS: Registry[HumanPart] = Registry(
-    "danger model", "danger", lambda value: isinstance(value, HumanPart)
+    "danger model",
+    "danger",
+    lambda value: isinstance(value, HumanPart),
+    require=options_of,
 )
 
 

@@ -7,6 +7,7 @@ Each part is told what the parts before it judged and passes on its own judgemen
 """
 
 import functools
+from collections.abc import Sequence
 
 import chex
 import jax.numpy as jnp
@@ -20,11 +21,10 @@ ALL_PARTS = (DELAY, MISTAKES, LAPSES, ATTENTION)
 """Parts that are applied to the danger model's judgement by default, in this order."""
 
 
-@functools.cache
 def simulated_human(
     danger: str | HumanPart = "threshold",
     max_delay: int = MAX_DELAY,
-    parts: tuple[str | HumanPart, ...] = ALL_PARTS,
+    parts: Sequence[str | HumanPart] = ALL_PARTS,
 ) -> HumanPart:
     """Danger, then the parts in their order: by default delay ∘ mistakes ∘ lapses ∘ attention.
 
@@ -37,6 +37,14 @@ def simulated_human(
         InvalidValue: one line, for an unknown model or part.
         ValueError: one line, for a negative delay.
     """
+    return _simulated(danger, max_delay, tuple(parts))
+
+
+@functools.cache
+def _simulated(
+    danger: str | HumanPart, max_delay: int, parts: tuple[str | HumanPart, ...]
+) -> HumanPart:
+    # The same human for the same words: programs are compiled once for equal teams.
     made = [delayed(max_delay) if part == DELAY else HUMAN_PARTS.make(part) for part in parts]
     return chain(DANGER_MODELS.make(danger), *made)
 

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from hitl_jax.choices.options import options_of
 from hitl_jax.choices.registry import Registry
 from hitl_jax.human.params import MAX_DELAY, HumanParams
 from hitl_jax.human.part import HumanPart, memoryless, unmoved
@@ -17,7 +18,10 @@ from hitl_jax.human.part import HumanPart, memoryless, unmoved
 DELAY, MISTAKES, LAPSES, ATTENTION = "delay", "mistakes", "lapses", "attention"
 
 HUMAN_PARTS: Registry[HumanPart] = Registry(
-    "human part", "human_parts", lambda value: isinstance(value, HumanPart)
+    "human part",
+    "human_parts",
+    lambda value: isinstance(value, HumanPart),
+    require=options_of,
 )
 
 

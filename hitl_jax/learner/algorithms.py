@@ -7,9 +7,11 @@ import chex
 from hitl_jax.choices.registry import Registry, having
 from hitl_jax.learner import losses
 from hitl_jax.learner.deterministic import DeterministicActorCritic
-from hitl_jax.learner.task_learner import NEEDS, Sizes, TaskLearner
+from hitl_jax.learner.task_learner import NEEDS, Sizes, TaskLearner, require_usable
 
-LEARNERS: Registry[TaskLearner] = Registry("task learner", "learner", having(*NEEDS))
+LEARNERS: Registry[TaskLearner] = Registry(
+    "task learner", "learner", having(*NEEDS), require=require_usable
+)
 """Each is made from an `AgentConfig`."""
 
 

@@ -4,7 +4,8 @@ from typing import Any, Protocol
 
 import chex
 
-from hitl_jax.choices.options import Option
+from hitl_jax.choices.checks import require_whole
+from hitl_jax.choices.options import Option, options_of
 from hitl_jax.learner.losses import Metrics
 from hitl_jax.types import Params, Transition
 
@@ -51,6 +52,8 @@ class TaskLearner(Protocol):
             transition of a minibatch.
         options: traced numbers of its own; they are in `hyper.extra`, by name.
     """
+
+    def __hash__(self) -> int: ...
 
     @property
     def policy_delay(self) -> int:
@@ -121,7 +124,10 @@ class TaskLearner(Protocol):
             last: static; True at one update in `policy_delay`, the last that shares its targets.
 
         Returns:
-            The next state and metrics, each [].
+            The next state and metrics, each one real number []. A metric is a column of
+            `diagnostics.csv`: its name is of a to z, 0 to 9 and _, and none of the counters'
+            (`updates`, `env_steps`, `episodes`) or the boundary learner's (`boundary_...`,
+            `network_boundary...`).
         """
 
 
@@ -136,3 +142,14 @@ NEEDS = (
     "improve",
 )
 """What an object must have to be a task learner."""
+
+
+def require_usable(learner: TaskLearner) -> None:
+    """Checks what a learner says of itself.
+
+    Raises:
+        InvalidValue: one line with the attribute, its value and what is allowed.
+    """
+    require_whole("policy_delay", learner.policy_delay, at_least=1)
+    require_whole("noise_size", learner.noise_size)
+    options_of(learner)

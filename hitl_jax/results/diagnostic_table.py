@@ -6,7 +6,7 @@ names a learner of one's own may choose.
 
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,25 @@ COUNTERS = ("updates", "env_steps", "episodes")
 
 _NAME = r"[a-z][a-z0-9_]{0,59}"
 _MOST_COLUMNS = 100
+_MOST_MEASURED = 60
+"""By a learner; the others are the counters, and the boundary learner's."""
 _GREATEST = 1e30
+
+
+def require_measured(names: Collection[Any]) -> None:
+    """Checks what a learner calls its metrics, before any is measured.
+
+    Raises:
+        ValueError: one line, for a name that can be no column, or is a counter's; or for too many.
+    """
+    for name in names:
+        if not (isinstance(name, str) and re.fullmatch(_NAME, name)) or name in COUNTERS:
+            raise ValueError(
+                f"metric {str(name)[:70]!r}: must begin with a to z, have a to z, 0 to 9 and _, at "
+                f"most 60 of them, and be none of {', '.join(COUNTERS)}"
+            )
+    if len(names) > _MOST_MEASURED:
+        raise ValueError(f"{len(names)} metrics: must be at most {_MOST_MEASURED}")
 
 
 def diagnostics_to_csv(rows: Sequence[Mapping[str, Any]]) -> str:

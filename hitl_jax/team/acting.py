@@ -10,9 +10,10 @@ from flax import struct
 
 from hitl_jax import boundary
 from hitl_jax.arbiter import Ruling, Situation, Takeover
+from hitl_jax.boundary.carry import first_carry, next_carry
 from hitl_jax.config import RunHyper, as_float32, traced
 from hitl_jax.human import actions, caller_state
-from hitl_jax.team.agent import Agent
+from hitl_jax.team.parts import Agent
 from hitl_jax.team.warmup import acts_at_random
 from hitl_jax.types import Behavior, Params
 
@@ -87,7 +88,7 @@ def init_acting(agent: Agent, hyper: RunHyper, key: chex.PRNGKey) -> ActingState
         steps=jnp.zeros((), jnp.int32),
         episodes=jnp.zeros((), jnp.int32),
         noise=jnp.zeros((agent.config.action_size,), jnp.float32),
-        boundary=agent.boundary_source.init(initial),
+        boundary=first_carry(agent.boundary_source, initial),
         human=caller_state.begun(_HUMAN, agent.human.init()),
         source=caller_state.begun(_SOURCE, agent.source.init()),
         arbiter=caller_state.begun(_INTERVENTION, agent.intervention.init()),
@@ -244,7 +245,8 @@ def _advance(
         extra=hyper.extra,
     )
     learns = hyper.learns_boundary > 0
-    return jnp.where(learns, agent.boundary_source.advance(state.boundary, move), state.boundary)
+    after = next_carry(agent.boundary_source, state.boundary, move)
+    return jnp.where(learns, after, state.boundary)
 
 
 def following(

@@ -1,7 +1,7 @@
-"""`Agent`: the parts of one run, its initial state and its updates. The caller vmaps them."""
+"""A team put together, its initial state and its updates. The caller vmaps them."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any
 
 import chex
 import jax
@@ -10,17 +10,18 @@ import jax.numpy as jnp
 from hitl_jax import human
 from hitl_jax.arbiter import INTERVENTIONS, RELEASES, Intervention
 from hitl_jax.arbiter.releases import Release
-from hitl_jax.boundary import SOURCES, BoundaryLearner, BoundarySource
-from hitl_jax.choices.options import Option, all_options, completed, require_known
+from hitl_jax.boundary import SOURCES, BoundarySource
+from hitl_jax.choices.options import all_options, require_known
 from hitl_jax.config import AgentConfig, Hyper, RunHyper, as_float32, traced, validate_hyper
-from hitl_jax.errors import InvalidValue
+from hitl_jax.errors import InvalidValue, blamed_on, name_of
 from hitl_jax.human import actions
 from hitl_jax.human.actions import ACTION_SOURCES
 from hitl_jax.human.indicator import INDICATORS, Indicator
 from hitl_jax.learner import losses, replay
 from hitl_jax.learner.algorithms import LEARNERS
-from hitl_jax.learner.frame import Layout
 from hitl_jax.learner.task_learner import TaskLearner
+from hitl_jax.team.parts import Agent
+from hitl_jax.team.trial_run import require_runs
 from hitl_jax.types import (
     Behavior,
     BoundaryState,
@@ -28,59 +29,6 @@ from hitl_jax.types import (
     TrainState,
     Transition,
 )
-
-
-class Agent(NamedTuple):
-    """The parts of the team, each a choice of one interface; `make_agent` puts them together.
-
-    Attributes:
-        config: static choices.
-        indicator: c_t of an observation.
-        human: the judgement h_t.
-        source: the human's actions a^h.
-        learner: the task learner.
-        boundary_source: where τ_t comes from.
-        intervention: what an intervention does.
-        release: what ends a takeover.
-    """
-
-    config: AgentConfig
-    indicator: Indicator
-    human: human.HumanPart
-    source: actions.ActionSource
-    learner: TaskLearner
-    boundary_source: BoundarySource
-    intervention: Intervention
-    release: Release
-
-    @property
-    def boundary_learner(self) -> BoundaryLearner:
-        """π_θ and Q_ω."""
-        return BoundaryLearner(self.config.observation_size, self.config.boundary_hidden_sizes)
-
-    @property
-    def layout(self) -> Layout:
-        """Columns of a frame in replay."""
-        return Layout(self.config.observation_size, self.config.action_size)
-
-    @property
-    def options(self) -> dict[str, Option]:
-        """What `Hyper.extra` can hold for this team, by name."""
-        return all_options(
-            (self.learner, self.boundary_source, self.intervention, self.release, self.indicator)
-        )
-
-    def with_extra(self, hyper: Any) -> Any:
-        """Hyperparameters with the defaults of what the choices' own options are not given.
-
-        Args:
-            hyper: `Hyper` or `RunHyper`, of numbers on the host or traced; not checked.
-        """
-        extra = completed(hyper.extra, self.options)
-        of_human = completed(hyper.human.extra, all_options([self.human]))
-        return dataclasses.replace(
-            hyper, extra=extra, human=dataclasses.replace(hyper.human, extra=of_human)
-        )
 
 
 def make_agent(
@@ -107,21 +55,57 @@ def make_agent(
         release: an end of takeovers of one's own.
 
     Raises:
-        InvalidValue: one line, for a choice that is none, or one that was made for observations of
-            another size.
+        InvalidValue: one line, for a choice that is none, one that was made for observations of
+            another size, or one that does not do what its protocol says (`team.trial_run`).
     """
+    given = {
+        "indicator": indicator,
+        "judge": judge,
+        "human_actions": source,
+        "learner": learner,
+        "boundary_source": boundary_source,
+        "intervention": intervention,
+        "release": release,
+    }
+    chosen = {
+        name: getattr(config, name, None) if value is None else value
+        for name, value in given.items()
+    }
     agent = Agent(
         config=config,
-        indicator=INDICATORS.make(indicator or config.indicator),
-        human=judge or human.simulated_human(config.danger, parts=config.human_parts),
-        source=ACTION_SOURCES.make(source or config.human_actions, config.action_size),
-        learner=LEARNERS.make(learner or config.learner, config),
-        boundary_source=SOURCES.make(boundary_source or config.boundary_source),
-        intervention=INTERVENTIONS.make(intervention or config.intervention),
-        release=RELEASES.make(release or config.release),
+        indicator=INDICATORS.make(chosen["indicator"]),
+        human=_human(config) if judge is None else _own_human(judge),
+        source=ACTION_SOURCES.make(chosen["human_actions"], config.action_size),
+        learner=LEARNERS.make(chosen["learner"], config),
+        boundary_source=SOURCES.make(chosen["boundary_source"]),
+        intervention=INTERVENTIONS.make(chosen["intervention"]),
+        release=RELEASES.make(chosen["release"]),
     )
     _require_sizes(agent)
+    require_runs(
+        agent,
+        {
+            name: one if isinstance(one, str) else name_of(one)
+            for name, one in chosen.items()
+            if one is not None
+        },
+    )
     return agent
+
+
+def _human(config: AgentConfig) -> human.HumanPart:
+    """The simulated human of a configuration."""
+    with blamed_on("human_parts", " ".join(config.human_parts)):
+        return human.simulated_human(config.danger, parts=config.human_parts)
+
+
+def _own_human(judge: Any) -> human.HumanPart:
+    """A human of a caller's own, checked."""
+    if not isinstance(judge, human.HumanPart):
+        why = "must be a HumanPart, as `human.simulated_human()` gives one"
+        raise InvalidValue("judge", name_of(judge), why)
+    human.HUMAN_PARTS.require(judge, name_of(judge), "judge")
+    return judge
 
 
 def _require_sizes(agent: Agent) -> None:
@@ -141,10 +125,6 @@ def _require_sizes(agent: Agent) -> None:
                     f"must be {has} with this {part}; choose another, or give `make_agent` one of "
                     "your own",
                 )
-    seen = jax.ShapeDtypeStruct((config.observation_size,), jnp.float32)
-    told = jax.eval_shape(agent.indicator, seen)
-    if jax.tree.map(jnp.shape, told) != ():
-        raise InvalidValue("indicator", config.indicator, f"must give one number, gives {told}")
 
 
 def validate(agent: Agent, hyper: Hyper) -> None:

@@ -8,13 +8,14 @@ from collections.abc import Mapping
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import traverse_util
 
+from hitl_jax.boundary.carry import first_carry
 from hitl_jax.errors import InvalidValue
 from hitl_jax.results.atomic_files import read_bytes
 from hitl_jax.results.npz_archives import from_npz
 from hitl_jax.team import agent as agents
 from hitl_jax.team.agent import Agent
+from hitl_jax.team.array_names import by_name, from_names
 from hitl_jax.types import Params, TrainState
 
 
@@ -28,7 +29,7 @@ def flatten(train: TrainState, boundary: np.ndarray) -> dict[str, np.ndarray]:
     Returns:
         For example `actor/params/Dense_0/kernel`, and `boundary`.
     """
-    flat = traverse_util.flatten_dict(_networks(train), sep="/")
+    flat = by_name(_networks(train))
     return {name: np.asarray(leaf) for name, leaf in flat.items()} | {
         "boundary": np.asarray(boundary)
     }
@@ -53,7 +54,8 @@ def networks_of(agent: Agent, arrays: Mapping[str, np.ndarray]) -> dict[str, Par
     Raises:
         ValueError: one line, if they are another team's, or not finite.
     """
-    expected = _forms(agent)
+    like = _like(agent)
+    expected = {name: leaf.shape for name, leaf in by_name(like).items()}
     for name in [*expected, *arrays]:
         if name not in arrays or name not in expected:
             has = "lacks" if name in expected else "holds"
@@ -67,21 +69,17 @@ def networks_of(agent: Agent, arrays: Mapping[str, np.ndarray]) -> dict[str, Par
             )
         if not np.isfinite(arrays[name]).all():
             raise ValueError("not all its numbers are finite")
-    return _unflatten(arrays)
-
-
-def _unflatten(arrays: Mapping[str, np.ndarray]) -> dict[str, Params]:
-    return traverse_util.unflatten_dict(dict(arrays), sep="/")
+    networks: dict[str, Params] = from_names(like, dict(arrays))
+    return networks
 
 
 @functools.lru_cache(maxsize=4)
-def _forms(agent: Agent) -> dict[str, tuple[int, ...]]:
-    """The shapes of what `flatten` gives for a run of this team, by flat name."""
+def _like(agent: Agent) -> dict[str, Params]:
+    """The networks of a run of this team and `boundary`, as shapes."""
     train = jax.eval_shape(lambda: agents.init(agent, jax.random.key(0)))
     source = agent.boundary_source
-    carry = jax.eval_shape(lambda: source.init(jnp.zeros((), jnp.float32)))
-    flat = traverse_util.flatten_dict(_networks(train), sep="/")
-    return {name: leaf.shape for name, leaf in flat.items()} | {"boundary": carry.shape}
+    carry = jax.eval_shape(lambda: first_carry(source, jnp.zeros((), jnp.float32)))
+    return _networks(train) | {"boundary": carry}
 
 
 def load(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:

@@ -5,15 +5,19 @@ depend on them.
 """
 
 import functools
+from typing import Any
 
 import chex
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from hitl_jax.config import RunHyper, traced
+from hitl_jax.human import caller_state
 from hitl_jax.learner import replay
 from hitl_jax.learner.losses import Metrics
-from hitl_jax.team.agent import Agent
+from hitl_jax.results.diagnostic_table import require_measured
+from hitl_jax.team.parts import Agent
 from hitl_jax.types import TrainState
 
 SAMPLE = 256
@@ -22,8 +26,34 @@ SAMPLE = 256
 EVERY = 1000
 """Updates of the task learner between two samples."""
 
+_BOUNDARYS = ("boundary_", "network_boundary")
+"""Names of what is measured of the boundary learner begin so."""
+
+_REAL = (np.floating, np.integer, np.bool_)
+
 _FOLDED = 2**31 - 1
 """What the run's key is folded with: no key that `learn` splits off it is made of this number."""
+
+
+def require_metrics(metrics: Any) -> None:
+    """Checks what a task learner measures, so that no run is lost by what is measured of it.
+
+    Args:
+        metrics: as `improve` gives them, or their shapes.
+
+    Raises:
+        ValueError: one line, for a name that can be no column or is not a learner's to give, and
+            for a metric that is no real number.
+    """
+    if not isinstance(metrics, dict):
+        raise ValueError(f"metrics must be a dict of numbers, are {caller_state.form(metrics)}")
+    require_measured(metrics)
+    for name, value in metrics.items():
+        if name.startswith(_BOUNDARYS):
+            raise ValueError(f"metric {name!r}: is a name for the boundary learner's")
+        scalar = getattr(value, "shape", None) == ()
+        if not (scalar and any(jnp.issubdtype(value.dtype, kind) for kind in _REAL)):
+            raise ValueError(f"metric {name!r}: must be a number, is {caller_state.form(value)}")
 
 
 def diagnose(

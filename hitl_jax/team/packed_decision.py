@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from hitl_jax.config import RunHyper
 from hitl_jax.learner.frame import Flags, Frame, pack
 from hitl_jax.team.acting import ActingState, act, begin_episode
-from hitl_jax.team.agent import Agent
+from hitl_jax.team.parts import Agent
 from hitl_jax.types import Behavior
 
 

@@ -1,10 +1,15 @@
 """Tests of many runs at once are those of each alone, with a toy in the place of the walker."""
 
+import dataclasses
+
 import device_toy
 import jax
 import numpy as np
 import pytest
 
+from hitl_jax.arbiter import INTERVENTIONS
+from hitl_jax.boundary import SOURCES
+from hitl_jax.choices.options import Option
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs.jax_pool import JaxPool
 from hitl_jax.evaluation.device import DeviceExaminer, num_walkers
@@ -38,9 +43,9 @@ def runs():
     return [_finished(method, seed) for seed in range(2) for method in Method]
 
 
-def _examined(runs, walkers, devices=2, broken_from=device_toy.NEVER):
+def _examined(runs, walkers, devices=2, broken_from=device_toy.NEVER, agent=_AGENT):
     with device_toy.toys(broken_from):
-        examiner = make_examiner(_AGENT, JaxPool(walkers, devices), _EPISODES)
+        examiner = make_examiner(agent, JaxPool(walkers, devices), _EPISODES)
         assert isinstance(examiner, DeviceExaminer)
         return evaluate_runs(examiner, runs, _modes)
 
@@ -67,6 +72,21 @@ def test_the_number_of_walkers_does_not_matter(runs, together, walkers, devices)
 
 def test_company_does_not_matter(runs, together):
     assert repr(_examined(runs[3:4], 64)) == repr(together[3:4])
+
+
+def test_options_that_are_not_given_have_their_defaults(runs, together):
+    """Beside policies to which they are given, those of an intervention of training included."""
+    drifts = Option("drift", 0.001, "what τ loses in a step")
+    agent = agents.make_agent(
+        _AGENT.config,
+        boundary_source=SOURCES.make("rule")._replace(options=(drifts,)),
+        intervention=INTERVENTIONS.make("reset")._replace(options=(Option("rest", 1.0, "x"),)),
+    )
+    first = runs[0].run
+    given = first.spec.hyper.replace(extra={"rest": 1.0})
+    run = dataclasses.replace(first, spec=dataclasses.replace(first.spec, hyper=given))
+    told = FinishedRun(run, runs[0].train, runs[0].boundary)
+    assert repr(_examined([told, *runs[1:]], 64, agent=agent)) == repr(together)
 
 
 def test_a_policy_that_is_no_number_falls_at_once(runs, together):

@@ -132,11 +132,11 @@ def test_objects_from_python_do_the_same(by_name):
     [
         ("learner", "no_such_module:sac", "no_such_module cannot be imported: ModuleNotFoundError"),
         ("learner", "my_sac:dqn", "my_sac has no dqn"),
-        ("learner", "my_team:of_another_kind", "my_team:of_another_kind: raised: of_another_kind("),
-        ("danger", "my_team:broken", "raised: its file"),
+        ("learner", "my_team:of_another_kind", "raised TypeError: of_another_kind("),
+        ("danger", "my_team:broken", "raised ValueError: its file"),
         ("danger", "my_team:of_another_kind", "must give a danger model, gives int 3"),
         ("boundary_source", "my_team:steep", "must give a boundary source, gives HumanPart"),
-        ("intervention", "my_team:drifting", "must give a intervention, gives BoundarySource"),
+        ("intervention", "my_team:drifting", "must give an intervention, gives BoundarySource"),
         ("human_actions", "my_team:np", "must be one of still, scripted, or module:name"),
         ("indicator", "my_team:two_numbers", "must give one number"),
     ],
@@ -156,6 +156,11 @@ def test_bad_ones_are_one_line(name, value, why):
         (["--learner", "my_sac:dqn"], "--learner my_sac:dqn: my_sac has no dqn"),
         (["--human-parts", "delay", "mood"], "--human-parts mood: must be one of delay, mistakes"),
         (["--human-parts", "delay", "delay"], "--human-parts delay delay: each at most once"),
+        (["--feedback-schedule", "nosuch:it"], "--feedback-schedule nosuch:it: nosuch cannot be"),
+        (["--learner", "bad_team:slashed"], "--learner bad_team:slashed: metric 'loss/Critic'"),
+        (["--learner", "bad_team:never_last"], "--learner bad_team:never_last: policy_delay 0"),
+        (["--indicator", "bad_team:leaves"], "--indicator bad_team:leaves: raised SystemExit: 0"),
+        (["--backend", "bad_team:raises"], "--backend bad_team:raises: raised RuntimeError: no"),
         (["--backend", "my_team:nobody"], "--backend my_team:nobody: my_team has no nobody"),
         (["--extra", "drift", "0.2"], "--extra.drift 0.2: must be at least 0 and at most 0.1"),
         (["--extra", "drift", "nan"], "--extra.drift nan: must be a finite number"),
@@ -234,9 +239,11 @@ def test_help_names_what_is_registered():
 def test_a_name_is_registered_once():
     kinds = Registry("kind", "kind", callable)
     kinds.register("one", "the first")(print)
-    for name in ("one", "a:b"):
-        with pytest.raises(ValueError, match="is registered already"):
-            kinds.register(name, "again")
+    with pytest.raises(ValueError, match="is registered already"):
+        kinds.register("one", "again")
+    for name in ("a:b", "", "a b", "-a", 3):
+        with pytest.raises(ValueError, match="must be letters, digits"):
+            kinds.register(name, "the second")
     assert kinds.make("one") is print and kinds.names == ("one",)
 
 

@@ -10,6 +10,7 @@ from toy import ToyPool
 
 from hitl_jax import human
 from hitl_jax.config import AgentConfig, Hyper, Method, RunHyper, hyper_for
+from hitl_jax.errors import InvalidValue
 from hitl_jax.human import actions, caller_state
 from hitl_jax.team import acting
 from hitl_jax.team.agent import make_agent
@@ -191,7 +192,5 @@ def test_a_source_of_actions_may_count_in_plain_numbers():
 
 
 def test_an_agent_whose_human_changes_its_type_is_refused_at_once():
-    agent = make_agent(_CONFIG, judge=_counting(0, 0.5))
-    state = acting.init_acting(agent, RunHyper(), make_key(0))
-    with pytest.raises(ValueError, match=r"a leaf was int32\[\] and is float32\[\]"):
-        acting.act(agent, RunHyper(), _params(agent), state, np.zeros(24, np.float32))
+    with pytest.raises(InvalidValue, match=r"^judge .*: a leaf was int32\[\] and is float32\[\]"):
+        make_agent(_CONFIG, judge=_counting(0, 0.5))

@@ -1,0 +1,66 @@
+"""`Agent`: the parts of a team, and what follows from them."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+from hitl_jax.arbiter import Intervention
+from hitl_jax.arbiter.releases import Release
+from hitl_jax.boundary import BoundaryLearner, BoundarySource
+from hitl_jax.choices.options import Option, all_options, completed
+from hitl_jax.config import AgentConfig
+from hitl_jax.human import HumanPart
+from hitl_jax.human.actions import ActionSource
+from hitl_jax.human.indicator import Indicator
+from hitl_jax.learner.frame import Layout
+from hitl_jax.learner.task_learner import TaskLearner
+
+
+class Agent(NamedTuple):
+    """The parts of the team, each a choice of one interface; `make_agent` puts them together.
+
+    Attributes:
+        config: static choices.
+        indicator: c_t of an observation.
+        human: the judgement h_t.
+        source: the human's actions a^h.
+        learner: the task learner.
+        boundary_source: where τ_t comes from.
+        intervention: what an intervention does.
+        release: what ends a takeover.
+    """
+
+    config: AgentConfig
+    indicator: Indicator
+    human: HumanPart
+    source: ActionSource
+    learner: TaskLearner
+    boundary_source: BoundarySource
+    intervention: Intervention
+    release: Release
+
+    @property
+    def boundary_learner(self) -> BoundaryLearner:
+        """π_θ and Q_ω."""
+        return BoundaryLearner(self.config.observation_size, self.config.boundary_hidden_sizes)
+
+    @property
+    def layout(self) -> Layout:
+        """Columns of a frame in replay."""
+        return Layout(self.config.observation_size, self.config.action_size)
+
+    @property
+    def options(self) -> dict[str, Option]:
+        """What `Hyper.extra` can hold for this team, by name: options of all that is told of it."""
+        return all_options((self.learner, self.boundary_source, self.intervention, self.release))
+
+    def with_extra(self, hyper: Any) -> Any:
+        """Hyperparameters with the defaults of what the choices' own options are not given.
+
+        Args:
+            hyper: `Hyper` or `RunHyper`, of numbers on the host or traced; not checked.
+        """
+        extra = completed(hyper.extra, self.options)
+        of_human = completed(hyper.human.extra, all_options([self.human]))
+        return dataclasses.replace(
+            hyper, extra=extra, human=dataclasses.replace(hyper.human, extra=of_human)
+        )
