@@ -14,7 +14,7 @@ from hitl_jax.console.cli import checking_input, refusing
 from hitl_jax.console.output import say
 from hitl_jax.playback import film
 from hitl_jax.playback.episodes import differences, playing_backend, require_repeatable
-from hitl_jax.playback.load_trained import agent_of, require_same_human
+from hitl_jax.playback.load_trained import agent_of, load_trained, require_same_human
 from hitl_jax.playback.replay import Phase, find_episode, find_run, make_film
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.sweep.compile_cache import keep_programs
@@ -76,7 +76,9 @@ def main(options: ReplayOptions) -> int:
         out = options.out or options.results / "replays" / f"{name}.gif"
         phase = "training" if options.phase == "training" else f"{options.phase} test"
         title = f"{key.method.upper()}, seed {key.seed}, {phase}, episode {number}"
-        returned = make_film(agent, playing_backend(folder), found, out, title, options.width)
+        sees_risk, backend = agent.risk_learner is not None, playing_backend(folder)
+        params = load_trained(agent, folder, key)[1].behavior if sees_risk else None
+        returned = make_film(agent, params, backend, found, out, title, options.width)
         print(out)
         again = f"{returned:.3f}"
         if returned == found.recorded:

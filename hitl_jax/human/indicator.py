@@ -1,8 +1,9 @@
 """Safety indicators c_t by name: a number in physical units, which the alarm compares with τ_t.
 
 To add one, write a function and register it. An indicator is any function of one observation f32[O]
-that gives a scalar f32[]. The named ones read BipedalWalker-v3, whose observation holds at index 0
-the hull's angle [rad] and at index 1 its angular velocity ω [rad/s] as 2 ω / FPS
+that gives a scalar f32[], or, under `sees_risk`, of an observation and its risk f32[]. The named
+ones but `fall_risk` read BipedalWalker-v3, whose observation holds at index 0 the hull's angle
+[rad] and at index 1 its angular velocity ω [rad/s] as 2 ω / FPS
 (gymnasium/envs/box2d/bipedal_walker.py, `step`).
 """
 
@@ -16,8 +17,8 @@ from hitl_jax.choices.registry import Registry
 WALKER_OBSERVATION = 24
 """Length of BipedalWalker-v3's observation."""
 
-Indicator = Callable[[chex.Array], chex.Array]
-"""Maps s_t, f32[O], to c_t, f32[]."""
+Indicator = Callable[..., chex.Array]
+"""Maps s_t, f32[O], to c_t, f32[]; under `sees_risk` s_t and its risk, f32[]."""
 
 FPS = 50
 """Steps of the walker per second (gymnasium/envs/box2d/bipedal_walker.py, `FPS`)."""
@@ -37,6 +38,34 @@ def sees(observation_size: int) -> Callable[[Any], Any]:
         return function
 
     return declare
+
+
+def sees_risk(function: Any) -> Any:
+    """A decorator that says that an indicator is also given the risk of the observation.
+
+    The risk is the probability that the walker falls within the risk critic's horizon (`risk`),
+    which is learned in teams with such an indicator.
+    """
+    function.sees_risk = True
+    return function
+
+
+def does_see_risk(indicator: Indicator) -> bool:
+    """Whether an indicator is to be given the risk."""
+    return getattr(indicator, "sees_risk", False)
+
+
+@INDICATORS.register("fall_risk", "learned probability of a fall within `risk_horizon` [1]")
+@sees_risk
+def fall_risk(observation: chex.Array, risk: chex.Array) -> chex.Array:
+    """c_t = the risk.
+
+    Args:
+        observation: s_t, [O]; not looked at.
+        risk: of s_t, [].
+    """
+    del observation
+    return risk
 
 
 @INDICATORS.register("hull_angle", "angle of the hull [rad]")

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import chex
 import jax.numpy as jnp
 
-
 GOES_ON, FALL, FINISHED, CUT_OFF = range(4)
 """What became of the machine's walk in a step, `Frame.event`: it went on; the walker fell; the
 episode ended otherwise, so that no fall can follow; or what the machine would have come to is not

@@ -256,7 +256,7 @@ def sample_outcomes(
     """Draws states of one run, uniformly, with what followed them within a horizon.
 
     Args:
-        replay: the ring; `num_starts(…, horizon)` must be above `newest`.
+        replay: the ring.
         layout: its columns.
         column: the run's column, [].
         key: consumed.
@@ -266,10 +266,11 @@ def sample_outcomes(
         count: frames before those from which is drawn, []; None is all.
 
     Returns:
-        A minibatch, leading axis B. Frames from which the machine took no step do not count.
+        A minibatch, leading axis B. Frames from which the machine took no step do not count, and
+        none does where there is none to draw.
     """
     capacity = replay.seen.shape[1]
-    behind = num_starts(replay, column, horizon) - newest
+    behind = jnp.maximum(num_starts(replay, column, horizon) - newest, 0)
     count = behind if count is None else jnp.minimum(behind, count)
     first = replay.cursor - horizon - newest - count
     begin = first + jax.random.randint(key, (batch_size,), 0, jnp.maximum(count, 1), jnp.int32)
@@ -284,7 +285,7 @@ def sample_outcomes(
         fell=(event == FALL).astype(jnp.float32),
         cut_off=cut_off.astype(jnp.float32),
         last_observation=replay.seen[column, (begin + steps) % capacity, layout.observation],
-        counts=(~final & ~(cut_off & (steps == 0))).astype(jnp.float32),
+        counts=((count > 0) & ~final & ~(cut_off & (steps == 0))).astype(jnp.float32),
     )
 
 

@@ -8,12 +8,17 @@ import numpy as np
 from hitl_jax.arbiter import shaped_reward
 from hitl_jax.config import RunHyper
 from hitl_jax.envs.visible_walker import StepResult
+from hitl_jax.learner.frame import GOES_ON
 from hitl_jax.live.labels import Label, boundary_along, judged, unjudged
+from hitl_jax.results.episode_measures import WALKER_ENDS
 from hitl_jax.team.agent import Agent
-from hitl_jax.training.step_booking import stored_ends
+from hitl_jax.training.step_booking import event_of, stored_ends
 
 _NO_LABEL = -1
-_FLAGS = ("alarmed", "dangerous", "control", "human_reset", "live", "terminated", "truncated")
+_FLAGS = (
+    *("alarmed", "dangerous", "control", "human_action", "human_reset"),
+    *("live", "terminated", "truncated"),
+)
 _MIN_COMPILED = 16
 _boundary_along = jax.jit(boundary_along)
 
@@ -115,15 +120,17 @@ class FrameStore:
         control, live = flags["control"][places] & stands, flags["live"][places]
         feedback = np.float32(self._hyper.feedback)
         shaped = shaped_reward(self._reward[places], control, feedback, "step", control, control)
-        terminated, truncated = stored_ends(
-            flags["terminated"][places],
-            flags["truncated"][places],
-            flags["human_reset"][places],
-            stands & self._agent.config.human_reset_terminates,
+        ended, cut, reset, acted = (
+            flags[name][places]
+            for name in ("terminated", "truncated", "human_reset", "human_action")
         )
+        reset_terminates = stands & self._agent.config.human_reset_terminates
+        terminated, truncated = stored_ends(ended, cut, reset, reset_terminates)
+        event = event_of(self._reward[places], ended, cut, reset, acted, WALKER_ENDS)
         self._frames[places, layout.reward] = np.where(live, shaped, 0.0)
         self._frames[places, layout.terminated] = live & terminated
         self._frames[places, layout.truncated] = live & truncated
+        self._frames[places, layout.event] = np.where(live, event, GOES_ON)
 
     def compile(self) -> None:
         """Compiles what the first label needs, so that the person does not wait for it."""

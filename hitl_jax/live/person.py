@@ -150,14 +150,15 @@ def act(
 
 
 def indicator_and_alarm(
-    agent: Agent, observation: chex.Array, boundary_now: chex.Array
+    agent: Agent, params: Behavior, observation: chex.Array, boundary_now: chex.Array
 ) -> tuple[chex.Array, chex.Array]:
     """The indicator c_t, [], and whether it raises the alarm, bool [].
 
     Args:
         agent: the team.
+        params: what acting needs of the run's parameters.
         observation: s_t, [O].
         boundary_now: τ_t, [].
     """
-    indicator = agent.indicator(observation)
+    indicator = agent.safety_indicator(params, observation)
     return indicator, boundary.alarm(indicator, boundary_now)

@@ -262,7 +262,8 @@ class Session:
 
     def _update_alarm(self) -> None:
         """Computes indicator and alarm of the state that comes next."""
-        indicator, alarmed = _see(self.setup.agent, self._observation, self._boundary)
+        agent = self.setup.agent
+        indicator, alarmed = _see(agent, self._behavior, self._observation, self._boundary)
         self._indicator = float(indicator)
         self._alarmed = bool(alarmed) and self.setup.hyper.has_arbiter > 0
 
@@ -272,6 +273,7 @@ class Session:
         warm = may_learn(setup.hyper, count, setup.loop.chunk, setup.agent.config.n_step)
         self._learner.add_chunk(self._last_chunk(), warm)
         self._behavior = self._current_behavior()
+        self._update_alarm()
 
     def _last_chunk(self) -> np.ndarray:
         """The frames so far of the chunk that the last frame belongs to, [.., W]."""

@@ -67,4 +67,7 @@ def _started(agent: Agent, train: TrainState, start: dict[str, Params]) -> Train
     networks = dataclasses.replace(
         networks, actor=start["boundary_actor"], critic=start["boundary_critic"]
     )
-    return dataclasses.replace(train, learner=learner, boundary=networks)
+    risk = train.risk
+    if risk is not None:
+        risk = dataclasses.replace(risk, critic=start["risk"])
+    return dataclasses.replace(train, learner=learner, boundary=networks, risk=risk)

@@ -59,13 +59,13 @@ def write_alarms(folder: ResultsFolder, episodes: int, say: Callable[[str], None
 def _count(
     agent: Agent, examiner: HostExaminer, spec: RunSpec, end: Snapshot, boundaries: np.ndarray
 ) -> AlarmCounts:
-    indicator = jax.jit(jax.vmap(agent.indicator))
+    indicator = jax.jit(jax.vmap(agent.safety_indicator, in_axes=(None, 0)))
     sizes: list[np.ndarray] = []
 
     def watch(decided: np.ndarray, active: np.ndarray) -> None:
         del active  # the rows tell how long each episode was
         observation = decided[:, agent.layout.observation]
-        sizes.append(np.abs(np.asarray(indicator(observation))))
+        sizes.append(np.abs(np.asarray(indicator(end.behavior, observation))))
 
     rows = play_trial(examiner, Trial("autonomous", spec, [end], examiner.num_episodes), watch)
     played = np.array(sizes)

@@ -87,7 +87,7 @@ def load_trained(agent: Agent, folder: ResultsFolder, key: RunKey) -> tuple[RunS
         method = Method(key.method)
     with named_errors(folder.run_path(key) / "params.npz"):
         params = checkpoint.networks_of(agent, arrays)
-    acts = Behavior(actor=params["actor"], boundary_actor=params["boundary_actor"])
+    acts = Behavior(params["actor"], params["boundary_actor"], params.get("risk"))
     spec = RunSpec(method, key.seed, hyper_for(method, hyper), folder.load_config()["episodes"])
     return spec, Snapshot(spec.episodes, acts, params["boundary"])
 

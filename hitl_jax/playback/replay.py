@@ -19,6 +19,7 @@ from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.recorded_episodes import BEST, Recording
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.team.agent import Agent
+from hitl_jax.types import Behavior
 
 _SPAN = 1.5
 
@@ -104,12 +105,19 @@ def _find_test(agent: Agent, folder: ResultsFolder, key: RunKey, mode: Mode, num
 
 
 def make_film(
-    agent: Agent, backend: str, found: Found, out: pathlib.Path, title: str, width: int
+    agent: Agent,
+    params: Behavior | None,
+    backend: str,
+    found: Found,
+    out: pathlib.Path,
+    title: str,
+    width: int,
 ) -> float:
     """Plays an episode again, and makes a film of it.
 
     Args:
         agent: whose indicator is shown.
+        params: of the trained run, by which a learned indicator tells the risk; else None.
         backend: that plays.
         found: the episode.
         out: the film.
@@ -126,7 +134,8 @@ def make_film(
     steps = list(film.play(backend, seed, episode.actions, pictures=False))
     observations = np.array([observation for observation, _, _ in steps])
     returns = list(itertools.accumulate(reward for _, _, reward in steps))
-    indicators = np.asarray(jax.vmap(agent.indicator)(observations))
+    indicate = jax.vmap(agent.safety_indicator, in_axes=(None, 0))
+    indicators = np.asarray(indicate(params, observations))
     name = agent.config.indicator.replace("_", " ")
     unit = "rad" if agent.config.indicator == "hull_angle" else ""
     drawn = film.play(backend, seed, episode.actions)

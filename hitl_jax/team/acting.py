@@ -136,7 +136,8 @@ def act(
     human_state, dangerous = agent.human.judge(
         state.human, hyper.human, observation, jnp.zeros((), bool), human_key
     )
-    judged = _judge(agent, hyper, observation, boundary_now, jnp.asarray(dangerous, bool))
+    indicator = as_float32(agent.safety_indicator(params, observation))
+    judged = _judge(hyper, indicator, boundary_now, jnp.asarray(dangerous, bool))
     arbiter_state, ruling = _rule(agent, hyper, state, judged)
     carry = _advance(agent, hyper, state, judged, ruling)
 
@@ -190,14 +191,12 @@ class _Judged(NamedTuple):
 
 
 def _judge(
-    agent: Agent,
     hyper: RunHyper,
-    observation: chex.Array,
+    indicator: chex.Array,
     boundary_now: chex.Array,
     dangerous: chex.Array,
 ) -> _Judged:
     """The alarm, where line 8 moves the boundary, and the alarm's reward."""
-    indicator = as_float32(agent.indicator(observation))
     alarmed = boundary.alarm(indicator, boundary_now) & (hyper.has_arbiter > 0)
     after = following(hyper, boundary_now, alarmed, dangerous)
     reward = boundary.boundary_reward(alarmed, dangerous, hyper.alarm_reward)

@@ -26,9 +26,13 @@ from hitl_jax.types import (
     Behavior,
     BoundaryState,
     BoundaryTransition,
+    RiskState,
     TrainState,
     Transition,
 )
+
+_OF_RISK = 1
+"""What keys are folded with for the risk critic, so that the other learners' stay as they are."""
 
 
 def make_agent(
@@ -155,16 +159,22 @@ def init(agent: Agent, key: chex.PRNGKey) -> TrainState:
         key: consumed, [].
     """
     keys = jax.random.split(key, 5)
+    risk = agent.risk_learner
     return TrainState(
         learner=agent.learner.init(keys[0], keys[1]),
         boundary=agent.boundary_learner.init(keys[2], keys[3]),
         key=keys[4],
+        risk=None if risk is None else risk.init(jax.random.fold_in(keys[2], _OF_RISK)),
     )
 
 
 def behavior(state: TrainState) -> Behavior:
     """The part of a run's state that acting needs."""
-    return Behavior(actor=state.learner.actor, boundary_actor=state.boundary.actor)
+    return Behavior(
+        actor=state.learner.actor,
+        boundary_actor=state.boundary.actor,
+        risk=None if state.risk is None else state.risk.critic,
+    )
 
 
 def update(
@@ -221,9 +231,10 @@ def learn(
     column: chex.Array,
     num_updates: int,
 ) -> TrainState:
-    """`num_updates` updates of one run, and one of its boundary where that is learned (HITL-AC).
+    """`num_updates` updates of one run, and one of each of its other learners.
 
-    Minibatches are drawn from its column of the replay.
+    The boundary is learned in HITL-AC; the risk where the team looks at it and there is an arbiter.
+    Minibatches are drawn from the run's column of the replay.
 
     Args:
         agent: the team.
@@ -256,7 +267,17 @@ def learn(
     learned = jax.lax.cond(
         hyper.learns_boundary > 0, learn_boundary, lambda state: state.boundary, state
     )
-    return dataclasses.replace(state, boundary=learned)
+    state = dataclasses.replace(state, boundary=learned)
+    risk, before = agent.risk_learner, state.risk
+    if risk is None or before is None:
+        return state
+    drawn = risk.draw(memory, agent.layout, column, jax.random.fold_in(boundary_key, _OF_RISK))
+
+    def learn_risk(before: RiskState) -> RiskState:
+        return risk.improve(hyper, before, *drawn)[0]
+
+    after = jax.lax.cond(hyper.has_arbiter > 0, learn_risk, lambda before: before, before)
+    return dataclasses.replace(state, risk=after)
 
 
 def _learn_task(

@@ -36,12 +36,13 @@ def flatten(train: TrainState, boundary: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _networks(train: TrainState) -> dict[str, Params]:
-    return {
+    networks = {
         "actor": train.learner.actor,
         "critic": train.learner.critic,
         "boundary_actor": train.boundary.actor,
         "boundary_critic": train.boundary.critic,
     }
+    return networks if train.risk is None else networks | {"risk": train.risk.critic}
 
 
 def networks_of(agent: Agent, arrays: Mapping[str, np.ndarray]) -> dict[str, Params]:

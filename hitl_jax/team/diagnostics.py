@@ -4,7 +4,7 @@ They are computed apart from the updates, by a program of their own: the numbers
 depend on them.
 """
 
-import functools
+import dataclasses
 from typing import Any
 
 import chex
@@ -26,8 +26,8 @@ SAMPLE = 256
 EVERY = 1000
 """Updates of the task learner between two samples."""
 
-_BOUNDARYS = ("boundary_", "network_boundary")
-"""Names of what is measured of the boundary learner begin so."""
+_TAKEN = ("boundary_", "network_boundary", "risk_")
+"""Names of what is measured of the boundary learner and of the risk critic begin so."""
 
 _REAL = (np.floating, np.integer, np.bool_)
 
@@ -49,8 +49,8 @@ def require_metrics(metrics: Any) -> None:
         raise ValueError(f"metrics must be a dict of numbers, are {caller_state.form(metrics)}")
     require_measured(metrics)
     for name, value in metrics.items():
-        if name.startswith(_BOUNDARYS):
-            raise ValueError(f"metric {name!r}: is a name for the boundary learner's")
+        if name.startswith(_TAKEN):
+            raise ValueError(f"metric {name!r}: is a name for the boundary's or the risk's learner")
         scalar = getattr(value, "shape", None) == ()
         if not (scalar and any(jnp.issubdtype(value.dtype, kind) for kind in _REAL)):
             raise ValueError(f"metric {name!r}: must be a number, is {caller_state.form(value)}")
@@ -59,9 +59,10 @@ def require_metrics(metrics: Any) -> None:
 def diagnose(
     agent: Agent, hyper: RunHyper, state: TrainState, memory: replay.Replay, column: chex.Array
 ) -> Metrics:
-    """Metrics of both learners on a sample of the replay; changes nothing.
+    """Metrics of all learners on a sample of the replay; changes nothing.
 
-    Those of the boundary learner are NaN where no boundary is learned.
+    Those of the boundary learner are NaN where no boundary is learned, those of the risk critic
+    where there is no arbiter.
 
     Args:
         agent: the team.
@@ -71,8 +72,8 @@ def diagnose(
         column: the run's column, int32 [].
 
     Returns:
-        What `improve` of the task learner and of the boundary learner measure, each [], and the
-        mean and standard deviation of π_θ(s) as `network_boundary` and `network_boundary_spread`.
+        What `improve` of each learner measures, each [], and the mean and standard deviation of
+        π_θ(s) as `network_boundary` and `network_boundary_spread`.
     """
     hyper, learner = traced(agent.with_extra(hyper)), agent.learner
     draw_key, noise_key, pool_key = jax.random.split(jax.random.fold_in(state.key, _FOLDED), 3)
@@ -90,8 +91,19 @@ def diagnose(
         "network_boundary": jnp.mean(network),
         "network_boundary_spread": jnp.std(network),
     }
-    known = functools.partial(jnp.where, hyper.learns_boundary > 0)
-    return metrics | {name: known(value, jnp.nan) for name, value in of_boundary.items()}
+    metrics |= _where(hyper.learns_boundary > 0, of_boundary)
+    risk = agent.risk_learner
+    if risk is None or state.risk is None:
+        return metrics
+    risk = dataclasses.replace(risk, batch_size=SAMPLE)
+    outcomes = risk.draw(memory, agent.layout, column, pool_key)
+    _, of_risk = risk.improve(hyper, state.risk, *outcomes)
+    return metrics | _where(hyper.has_arbiter > 0, of_risk)
+
+
+def _where(known: chex.Array, metrics: Metrics) -> Metrics:
+    """Metrics, or NaN where they mean nothing."""
+    return {name: jnp.where(known, value, jnp.nan) for name, value in metrics.items()}
 
 
 def on_host(metrics: Metrics) -> dict[str, float]:

@@ -3,6 +3,8 @@
 import dataclasses
 from typing import Any, NamedTuple
 
+import chex
+
 from hitl_jax.arbiter import Intervention
 from hitl_jax.arbiter.releases import Release
 from hitl_jax.boundary import BoundaryLearner, BoundarySource
@@ -10,9 +12,11 @@ from hitl_jax.choices.options import Option, all_options, completed
 from hitl_jax.config import AgentConfig
 from hitl_jax.human import HumanPart
 from hitl_jax.human.actions import ActionSource
-from hitl_jax.human.indicator import Indicator
+from hitl_jax.human.indicator import Indicator, does_see_risk
 from hitl_jax.learner.frame import Layout
 from hitl_jax.learner.task_learner import TaskLearner
+from hitl_jax.risk import RiskLearner
+from hitl_jax.types import Behavior
 
 
 class Agent(NamedTuple):
@@ -42,6 +46,33 @@ class Agent(NamedTuple):
     def boundary_learner(self) -> BoundaryLearner:
         """π_θ and Q_ω."""
         return BoundaryLearner(self.config.observation_size, self.config.boundary_hidden_sizes)
+
+    @property
+    def risk_learner(self) -> RiskLearner | None:
+        """The risk critic's; None where no part looks at the risk."""
+        config = self.config
+        if not does_see_risk(self.indicator):
+            return None
+        return RiskLearner(
+            config.observation_size,
+            config.risk_hidden_sizes,
+            config.risk_horizon,
+            config.risk_batch_size,
+        )
+
+    def safety_indicator(self, params: Behavior | None, observation: chex.Array) -> chex.Array:
+        """c_t of one state, [].
+
+        Args:
+            params: what acting needs of the run's parameters; None will do where the indicator does
+                not see the risk.
+            observation: s_t, [O].
+        """
+        learner = self.risk_learner
+        if learner is None:
+            return self.indicator(observation)
+        assert params is not None and params.risk is not None
+        return self.indicator(observation, learner.risk(params.risk, observation))
 
     @property
     def layout(self) -> Layout:

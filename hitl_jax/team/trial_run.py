@@ -17,6 +17,7 @@ from hitl_jax.config import RunHyper
 from hitl_jax.errors import blamed_on
 from hitl_jax.human import DANGER_MODELS, HUMAN_PARTS, HumanPart
 from hitl_jax.human.caller_state import begun, form, kept
+from hitl_jax.human.indicator import does_see_risk
 from hitl_jax.team.acting import init_acting
 from hitl_jax.team.packed_decision import act_or_begin
 from hitl_jax.team.parts import Agent
@@ -48,7 +49,8 @@ def _tried(agent: Agent, named: tuple[tuple[str, str], ...]) -> None:
     sizes = sizes_of(agent)
     given = given_of(sizes)
     _try_schedule(agent.config.feedback_schedule)
-    number = blamed["indicator"].shapes(agent.indicator, given.seen)
+    seen = (given.seen, given.number) if does_see_risk(agent.indicator) else (given.seen,)
+    number = blamed["indicator"].shapes(agent.indicator, *seen)
     blamed["indicator"].require(number, "one number")
     _try_human(agent, given, blamed)
     _try_hands(agent, given, blamed["human_actions"])
@@ -57,7 +59,9 @@ def _tried(agent: Agent, named: tuple[tuple[str, str], ...]) -> None:
     _try_intervention(agent, given, blamed["intervention"])
     learner = state_of_learner(agent.learner, sizes, names["learner"])
     boundary = jax.eval_shape(agent.boundary_learner.init, given.key, given.key)
-    _try_together(agent, given, Behavior(learner.actor, boundary.actor))
+    risk = agent.risk_learner
+    critic = None if risk is None else jax.eval_shape(risk.init, given.key).critic
+    _try_together(agent, given, Behavior(learner.actor, boundary.actor, critic))
 
 
 def _try_schedule(name: str) -> None:

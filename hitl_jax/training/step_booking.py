@@ -15,7 +15,7 @@ import numpy as np
 from hitl_jax.arbiter import shaped_reward
 from hitl_jax.config import AgentConfig, RunHyper
 from hitl_jax.envs import StepBatch
-from hitl_jax.learner.frame import CUT_OFF, FALL, FINISHED, Layout, flag_of, flags_of
+from hitl_jax.learner.frame import CUT_OFF, FALL, FINISHED, GOES_ON, Layout, flag_of, flags_of
 from hitl_jax.results.episode_measures import EndRule, Episode
 from hitl_jax.results.recorded_episodes import STEP_COLUMNS
 
@@ -140,7 +140,9 @@ def event_of(
         fell = terminated & (reward <= ends.fall_reward)
     finished = terminated & ~fell & ends.goal
     cut = truncated | human_reset | terminated
-    event = np.select([human_action, fell, finished, cut], [CUT_OFF, FALL, FINISHED, CUT_OFF])
+    event = np.select(
+        [human_action, fell, finished, cut], [CUT_OFF, FALL, FINISHED, CUT_OFF], GOES_ON
+    )
     return event.astype(np.float32)
 
 
@@ -175,14 +177,9 @@ def frames_of(
     so_far, intervened = _intervened(control, ended, intervened)
     reward, schedule = frames[..., layout.reward], config.feedback_schedule
     shaped = shaped_reward(reward, control, feedback[:, None], schedule, ended, so_far)
-    frames[..., layout.event] = event_of(
-        reward,
-        terminated,
-        truncated,
-        human_reset,
-        live & flag_of(steps, layout, "human_action"),
-        ends,
-    )
+    human_action = flag_of(steps, layout, "human_action")
+    event = event_of(reward, terminated, truncated, human_reset, human_action, ends)
+    frames[..., layout.event] = np.where(live, event, GOES_ON)
     frames[..., layout.reward] = np.where(live, shaped, 0.0)
     frames[..., layout.terminated], frames[..., layout.truncated] = stored_ends(
         terminated, truncated, human_reset, config.human_reset_terminates

@@ -4,7 +4,8 @@ import pytest
 
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.envs import StepBatch
-from hitl_jax.learner.frame import Layout
+from hitl_jax.learner.frame import CUT_OFF, FALL, FINISHED, GOES_ON, Layout
+from hitl_jax.results.episode_measures import UNKNOWN_ENDS, WALKER_ENDS
 from hitl_jax.results.recorded_episodes import Recording
 from hitl_jax.training.step_booking import (
     end_of_step,
@@ -33,7 +34,7 @@ def _steps(count, layout=_LAYOUT, **flags):
 def _frames(config, intervened=False, **flags):
     steps = _steps(4, **flags)
     before = np.array([intervened])
-    frames, after = frames_of(steps[None], _LAYOUT, config, np.array([-10.0]), before)
+    frames, after = frames_of(steps[None], _LAYOUT, config, np.array([-10.0]), before, WALKER_ENDS)
     [frames] = frames
     ends = frames[:, _LAYOUT.terminated].tolist(), frames[:, _LAYOUT.truncated].tolist()
     return frames[:, _LAYOUT.reward].tolist(), ends, bool(after[0])
@@ -78,6 +79,33 @@ def test_where_no_step_was_taken_nothing_is_learned():
     assert rewards == [0.0] * 4
     assert ends == ([0.0] * 4, [0.0] * 4)
     assert not after
+
+
+@pytest.mark.parametrize(
+    ("event", "flags"),
+    [
+        (GOES_ON, ()),
+        (GOES_ON, ("control",)),  # A penalty: the machine goes on acting.
+        (FALL, ("terminated", "fell")),
+        (FALL, ("terminated", "truncated", "fell")),
+        (FALL, ("terminated", "human_reset", "fell")),
+        (FINISHED, ("terminated",)),
+        (CUT_OFF, ("truncated",)),
+        (CUT_OFF, ("human_reset",)),
+        (CUT_OFF, ("human_action",)),
+        (CUT_OFF, ("terminated", "human_action", "fell")),  # The human's fall.
+        (GOES_ON, ("final", "terminated", "human_reset", "fell")),  # No step was taken.
+    ],
+)
+def test_what_became_of_the_machines_walk_is_stored(event, flags):
+    steps = _steps(1, **{name: [0] for name in flags if name != "fell"})
+    if "fell" in flags:
+        steps[0, _LAYOUT.reward] = -100.0
+    given = AgentConfig(), np.zeros(1), np.zeros(1, bool)
+    frames, _ = frames_of(steps[None], _LAYOUT, *given, WALKER_ENDS)
+    assert frames[0, 0, _LAYOUT.event] == event
+    frames, _ = frames_of(steps[None], _LAYOUT, *given, UNKNOWN_ENDS)
+    assert frames[0, 0, _LAYOUT.event] == (GOES_ON if event == GOES_ON else CUT_OFF)
 
 
 @pytest.mark.parametrize(("schedule", "total"), [("step", -17.0), ("episode", -7.0)])
