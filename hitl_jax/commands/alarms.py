@@ -3,7 +3,8 @@
 Plays the trained walkers of a results folder once more, alone, on the terrains of their tests (of
 EnvPool's, which cannot be had again, on others), and counts for a range of boundaries what alarms
 at |c_t| >= τ would have told: how often they come, how many are followed by a fall, how many falls
-they announce, and how long before. A pool of your own plays again where you trust its module
+they announce, and how long before. It also compares indicators where they raise as many false
+alarms, and a learned risk with what came. A pool of your own plays again where you trust its module
 (`HITL_JAX_MODULES`).
 """
 
@@ -12,7 +13,7 @@ import pathlib
 
 import tyro
 
-from hitl_jax.analysis import alarm_figures
+from hitl_jax.analysis import alarm_figures, warning_figures
 from hitl_jax.choices.checks import require
 from hitl_jax.console.cli import checking_input, print_drawn, refusing
 from hitl_jax.console.output import say
@@ -23,7 +24,10 @@ from hitl_jax.sweep.compile_cache import keep_programs
 
 @dataclasses.dataclass(frozen=True)
 class AlarmOptions:
-    """Counts alarms and falls of trained walkers; writes RESULTS/alarms.csv and figure 8.
+    """Counts alarms and falls of trained walkers.
+
+    Writes RESULTS/alarms.csv and Figure 8, RESULTS/early_warnings.csv, RESULTS/reliability.csv and
+    Figure 11.
 
     Attributes:
         results: a folder that a sweep has written.
@@ -52,5 +56,5 @@ def main(options: AlarmOptions) -> int:
         folder = ResultsFolder(options.results)
         keep_programs()
         write_alarms(folder, options.episodes, say)
-        drawn = alarm_figures.draw(folder)
+        drawn = alarm_figures.draw(folder).with_(warning_figures.draw(folder))
     return print_drawn(drawn)

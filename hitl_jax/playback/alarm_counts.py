@@ -3,26 +3,31 @@
 import csv
 import io
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from hitl_jax.analysis import alarm_figures
+from hitl_jax.analysis import alarm_figures, warning_figures
 from hitl_jax.analysis.alarms import AlarmCounts, count_alarms, total
+from hitl_jax.analysis.early_warnings import count_reliability, count_warnings, steps_to_fall
 from hitl_jax.errors import ResultsError
 from hitl_jax.evaluation.host import HostExaminer, play_trial
 from hitl_jax.evaluation.trials import Trial
+from hitl_jax.human.indicator import INDICATORS, WALKER_OBSERVATION
 from hitl_jax.playback.episodes import playing_pool
 from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.results.folder import ResultsFolder
-from hitl_jax.results.run_key import RunKey
 from hitl_jax.team.agent import Agent
 from hitl_jax.training.run_spec import RunSpec, Snapshot
+from hitl_jax.types import Behavior
 
 NUM_BOUNDARIES = 61
 """From 0 to the greatest boundary that the runs could have."""
+
+_BESIDE = ("hull_angle", "weighted")
+"""Indicators that are told of every walker, beside the run's own."""
 
 
 def write_alarms(folder: ResultsFolder, episodes: int, say: Callable[[str], None]) -> None:
@@ -40,48 +45,125 @@ def write_alarms(folder: ResultsFolder, episodes: int, say: Callable[[str], None
     keys = able_to_play(folder, say)
     if not keys:
         raise ResultsError(f"{folder.path}: no run has finished yet")
-    rows: list[dict[str, Any]] = []
+    tables: dict[str, list[dict[str, Any]]] = {
+        alarm_figures.DATA: [],
+        warning_figures.WARNINGS: [],
+        warning_figures.RELIABILITY: [],
+    }
     with playing_pool(folder, agent, episodes) as pool:
-        examiner = HostExaminer(agent, pool)
+        examiner, tell = HostExaminer(agent, pool), _indicators(agent)
         for number, key in enumerate(keys, start=1):
             spec, end = load_trained(agent, folder, key)
+            walks = _walk(tell, agent, examiner, spec, end)
             boundaries = np.linspace(0.0, spec.hyper.boundary_high, NUM_BOUNDARIES)
-            counts = _count(agent, examiner, spec, end, boundaries)
-            rows += _rows(key, boundaries, counts)
+            counts = walks.alarms(boundaries)
+            run = {"method": key.method, "seed": key.seed}
+            tables[alarm_figures.DATA] += _rows(run, boundaries, counts)
+            tables[warning_figures.WARNINGS] += [run | row for row in walks.warnings()]
+            reliability = walks.reliability(agent.config.risk_horizon)
+            tables[warning_figures.RELIABILITY] += [run | row for row in reliability]
             say(f"{number}/{len(keys)} {key}: {counts.falls} falls")
-    text = io.StringIO()
-    writer = csv.DictWriter(text, alarm_figures.COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text_atomic(folder.path / alarm_figures.DATA, text.getvalue())
+    for name, columns in _COLUMNS.items():
+        text = io.StringIO()
+        writer = csv.DictWriter(text, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(tables[name])
+        write_text_atomic(folder.path / name, text.getvalue())
 
 
-def _count(
-    agent: Agent, examiner: HostExaminer, spec: RunSpec, end: Snapshot, boundaries: np.ndarray
-) -> AlarmCounts:
-    indicator = jax.jit(jax.vmap(agent.safety_indicator, in_axes=(None, 0)))
-    sizes: list[np.ndarray] = []
+_COLUMNS = {
+    alarm_figures.DATA: alarm_figures.COLUMNS,
+    warning_figures.WARNINGS: warning_figures.WARNING_COLUMNS,
+    warning_figures.RELIABILITY: warning_figures.RELIABILITY_COLUMNS,
+}
+
+
+class _Walks(NamedTuple):
+    """What the indicators told in the test episodes of a run.
+
+    Attributes:
+        own: name of the indicator that the run has.
+        sizes: |c_t| of each episode, [T] each, by indicator.
+        fell: whether an episode ended in a fall.
+    """
+
+    own: str
+    sizes: dict[str, list[np.ndarray]]
+    fell: list[bool]
+
+    def alarms(self, boundaries: np.ndarray) -> AlarmCounts:
+        """What alarms of the run's own indicator told, at each of M boundaries."""
+        episodes = zip(self.sizes[self.own], self.fell, strict=True)
+        return total([count_alarms(size, fell, boundaries) for size, fell in episodes])
+
+    def warnings(self) -> list[dict[str, Any]]:
+        """Rows of `count_warnings` of each indicator."""
+        return [
+            {"indicator": name} | row
+            for name, size in self._known().items()
+            for row in count_warnings(np.concatenate(size), self._to_fall())
+        ]
+
+    def reliability(self, horizon: int) -> list[dict[str, Any]]:
+        """Rows of `count_reliability`; none where the run has no risk critic."""
+        if "fall_risk" not in self._known():
+            return []
+        risk = np.concatenate(self.sizes["fall_risk"])
+        return count_reliability(risk, self._to_fall(), horizon)
+
+    def _known(self) -> dict[str, list[np.ndarray]]:
+        return {
+            name: sizes
+            for name, sizes in self.sizes.items()
+            if all(np.isfinite(size).all() for size in sizes)
+        }
+
+    def _to_fall(self) -> np.ndarray:
+        return steps_to_fall([len(size) for size in self.sizes[self.own]], self.fell)
+
+
+Tell = Callable[[Behavior, np.ndarray], dict[str, jax.Array]]
+"""Maps what acts and observations [N, O] to c_t [N], by indicator; the team's own comes first."""
+
+
+def _indicators(agent: Agent) -> Tell:
+    own = agent.config.indicator
+    beside = _BESIDE if agent.config.observation_size == WALKER_OBSERVATION else ()
+    others = {name: INDICATORS.make(name) for name in beside if name != own}
+
+    def tell(params: Behavior, seen: jax.Array) -> dict[str, jax.Array]:
+        told = {name: each(seen) for name, each in others.items()}
+        return {own: agent.safety_indicator(params, seen)} | told
+
+    return jax.jit(jax.vmap(tell, in_axes=(None, 0)))
+
+
+def _walk(tell: Tell, agent: Agent, examiner: HostExaminer, spec: RunSpec, end: Snapshot) -> _Walks:
+    steps: list[dict[str, np.ndarray]] = []
 
     def watch(decided: np.ndarray, active: np.ndarray) -> None:
         del active  # the rows tell how long each episode was
-        observation = decided[:, agent.layout.observation]
-        sizes.append(np.abs(np.asarray(indicator(end.behavior, observation))))
+        steps.append(jax.device_get(tell(end.behavior, decided[:, agent.layout.observation])))
 
     rows = play_trial(examiner, Trial("autonomous", spec, [end], examiner.num_episodes), watch)
-    played = np.array(sizes)
-    return total(
-        [
-            count_alarms(played[: row["length"], walker], bool(row["fall"]), boundaries)
-            for walker, row in enumerate(rows)
+    lengths = [row["length"] for row in rows]
+    sizes = {
+        name: [
+            np.abs([step[name][walker] for step in steps[:length]])
+            for walker, length in enumerate(lengths)
         ]
-    )
+        for name in steps[0]
+    }
+    own = agent.config.indicator
+    if agent.risk_learner is not None and not spec.hyper.has_arbiter > 0:
+        sizes[own] = [np.full_like(size, np.nan) for size in sizes[own]]  # Nobody has learned it.
+    return _Walks(own, sizes, [bool(row["fall"]) for row in rows])
 
 
-def _rows(key: RunKey, boundaries: np.ndarray, counts: AlarmCounts) -> list[dict[str, Any]]:
+def _rows(run: dict[str, Any], boundaries: np.ndarray, counts: AlarmCounts) -> list[dict[str, Any]]:
     return [
-        {
-            "method": key.method,
-            "seed": key.seed,
+        run
+        | {
             "boundary": round(float(boundary), 6),
             "steps": counts.steps,
             "alarms": counts.alarms[place].item(),

@@ -1,0 +1,178 @@
+"""Figure 11: how early each indicator warns of falls, and whether the risk is true.
+
+From RESULTS/early_warnings.csv and RESULTS/reliability.csv, of all seeds of a method together.
+"""
+
+from __future__ import annotations
+
+import pathlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hitl_jax.analysis import stats
+from hitl_jax.analysis.early_warnings import EARLY, RELIABILITY_COUNTS, WARNING_COUNTS
+from hitl_jax.analysis.figure_style import (
+    COLOURS,
+    GREY,
+    PAGE,
+    Drawn,
+    attempt,
+    line_style,
+    literal,
+    panels,
+    save,
+)
+from hitl_jax.analysis.summary import STEPS_PER_SECOND
+from hitl_jax.results.atomic_files import named_errors, read_bytes
+from hitl_jax.results.episode_tables import METHODS, cells_from_csv, finite
+from hitl_jax.results.folder import ResultsFolder
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WARNINGS, RELIABILITY = "early_warnings.csv", "reliability.csv"
+"""In a results folder."""
+
+_NAME = "figure11_early_warnings"
+_RUN = ("method", "seed")
+WARNING_COLUMNS = (*_RUN, "indicator", "false_alarm_share", "boundary", *WARNING_COUNTS)
+RELIABILITY_COLUMNS = (*_RUN, "bin", "risk_sum", *RELIABILITY_COUNTS)
+
+_LOOKS: tuple[dict[str, Any], ...] = (
+    {"color": "black", "marker": "o"},
+    {"color": "#CC79A7", "marker": "s", "linestyle": "--"},
+    {"color": "#E69F00", "marker": "^", "linestyle": ":"},
+    {"color": "#56B4E9", "marker": "v", "linestyle": "-."},
+)
+"""Of indicators, in the order of the file; none is a method's colour."""
+
+_FEW = 20
+"""Steps of a bin, or falls, below which a share says nothing."""
+
+Rows = dict[str, np.ndarray]
+
+
+def draw(folder: ResultsFolder) -> Drawn:
+    """Draws the figure into the folder's `figures`.
+
+    Raises:
+        ResultsError: if the data are damaged.
+    """
+    warnings = _load(folder.path / WARNINGS, WARNING_COLUMNS)
+    reliability = _load(folder.path / RELIABILITY, RELIABILITY_COLUMNS)
+
+    def make() -> list[pathlib.Path] | None:
+        figure = _figure(warnings, reliability)
+        return None if figure is None else save(figure, folder.path / "figures" / _NAME)
+
+    return attempt({_NAME: make})
+
+
+def _load(path: pathlib.Path, columns: tuple[str, ...]) -> Rows:
+    """A table, numbers as float64 and words as they are, [K] by column.
+
+    Raises:
+        ResultsError: if it is damaged.
+    """
+    with named_errors(path):
+        cells = cells_from_csv(read_bytes(path).decode(), columns)
+        if unknown := set(cells["method"]) - set(METHODS):
+            raise ValueError(f"method {min(unknown)[:50]!r}: must be one of {', '.join(METHODS)}")
+        return {
+            name: np.array(values) if name in ("method", "indicator") else finite(name, values)
+            for name, values in cells.items()
+        }
+
+
+def pooled_share(rows: Rows, part: str, whole: str, by: str) -> tuple[np.ndarray, ...]:
+    """A share over all seeds together, with a bootstrap interval over seeds.
+
+    Args:
+        rows: of one method (and indicator).
+        part: a column of counts.
+        whole: another.
+        by: the column along which it is told.
+
+    Returns:
+        The values of `by`, the share, and the ends of its interval, [K] each; NaN where there are
+        too few to say.
+    """
+    seeds, places = np.unique(rows["seed"]), np.unique(rows[by])
+    parts, wholes = np.zeros((2, len(seeds), len(places)))
+    at = np.searchsorted(seeds, rows["seed"]), np.searchsorted(places, rows[by])
+    np.add.at(parts, at, rows[part])
+    np.add.at(wholes, at, rows[whole])
+    drawn = stats.resampled_seeds(len(seeds))
+    share, low, high = np.full((3, len(places)), np.nan)
+    for place in np.flatnonzero(wholes.sum(0) >= _FEW):
+        part_of, whole_of = parts[:, place], wholes[:, place]
+        share[place] = part_of.sum() / whole_of.sum()
+        some = whole_of[drawn].sum(1) > 0
+        resampled = part_of[drawn].sum(1)[some] / whole_of[drawn].sum(1)[some]
+        low[place], high[place] = np.quantile(resampled, [0.025, 0.975])
+    return places, share, low, high
+
+
+def _of(rows: Rows, **wanted: str) -> Rows:
+    chosen = np.ones(len(rows["method"]), bool)
+    for name, value in wanted.items():
+        chosen &= rows[name] == value
+    return {name: values[chosen] for name, values in rows.items()}
+
+
+def _figure(warnings: Rows, reliability: Rows) -> Figure | None:
+    """None where no indicator has enough falls."""
+    methods = [method for method in METHODS if _enough_falls(_of(warnings, method=method))]
+    if not methods:
+        return None
+    tells_risk = bool(reliability["steps"].sum())
+    figure, axes_of = panels(1, len(methods) + tells_risk, (PAGE, 3.2))
+    indicators = list(dict.fromkeys(warnings["indicator"].tolist()))
+    lines = {}
+    for axes, method in zip(axes_of, methods, strict=False):
+        for name, looks in zip(indicators, _LOOKS, strict=False):
+            own = _of(warnings, method=method, indicator=name)
+            if len(own["seed"]):
+                lines[name] = _draw_warnings(axes, own, looks, name)
+        axes.set(xscale="log", ylim=(0.0, 1.03), xlabel="false alarms [share of quiet steps]")
+        axes.set_title(method.upper(), fontsize=9, color=COLOURS[method])
+    early = f"{EARLY / STEPS_PER_SECOND:g} s"
+    axes_of[0].set_ylabel(f"falls warned of\nat least {early} before [share]")
+    if tells_risk:
+        _draw_reliability(axes_of[-1], reliability)
+    title = "all seeds together; band and bars: bootstrap 95 % interval over seeds"
+    place: dict[str, Any] = {"loc": "outside lower center", "ncols": max(len(lines), 1)}
+    figure.legend(handles=list(lines.values()), title=title, **place)
+    return figure
+
+
+def _enough_falls(rows: Rows) -> bool:
+    known: np.ndarray = rows["false_alarm_share"] == rows["false_alarm_share"].max(initial=0.0)
+    own = rows["indicator"] == rows["indicator"][:1]
+    return bool(rows["falls"][known & own].sum() >= _FEW)
+
+
+def _draw_warnings(axes: Axes, rows: Rows, looks: dict[str, Any], name: str) -> Any:
+    x, share, low, high = pooled_share(rows, "warned_falls", "falls", "false_alarm_share")
+    axes.fill_between(x, low, high, color=looks["color"], alpha=0.15, linewidth=0)
+    label = literal(name.replace("_", " "))
+    return axes.plot(x, share, markersize=3.5, linewidth=1.4, label=label, **looks)[0]
+
+
+def _draw_reliability(axes: Axes, rows: Rows) -> None:
+    """What came against what was foretold; methods in their colours."""
+    axes.plot([0, 1], [0, 1], color=GREY, linewidth=0.9, linestyle="--")
+    axes.fill_between([0, 1], [-0.1, 0.9], [0.1, 1.1], color=GREY, alpha=0.08, linewidth=0)
+    for method in METHODS:
+        own = _of(rows, method=method)
+        if not own["steps"].sum():
+            continue
+        _, foretold, _, _ = pooled_share(own, "risk_sum", "steps", "bin")
+        _, came, low, high = pooled_share(own, "falls_follow", "steps", "bin")
+        bars = np.maximum([came - low, high - came], 0.0)
+        looks = line_style(method)
+        axes.errorbar(foretold, came, bars, marker="o", markersize=3.5, linewidth=1.2, **looks)
+    axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="foretold risk", ylabel="falls that followed [share]")
+    axes.set_title("is the risk true?", fontsize=9)
