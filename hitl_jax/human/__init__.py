@@ -1,6 +1,7 @@
 """The simulated human: what they see, how they judge it, and what they do with the controls."""
 
 from hitl_jax.human.danger import DANGER_MODELS, predictive, threshold
+from hitl_jax.human.foresight import foresight
 from hitl_jax.human.judgement import ALL_PARTS, outcome_dangerous, recorded, simulated_human
 from hitl_jax.human.params import MAX_DELAY, UNLIMITED, HumanParams, validate_human_params
 from hitl_jax.human.part import HumanPart, chain, memoryless
@@ -18,6 +19,7 @@ __all__ = [
     "attentive",
     "chain",
     "delayed",
+    "foresight",
     "lapsing",
     "memoryless",
     "mistaken",

@@ -55,19 +55,6 @@ def does_see_risk(indicator: Indicator) -> bool:
     return getattr(indicator, "sees_risk", False)
 
 
-@INDICATORS.register("fall_risk", "learned probability of a fall within `risk_horizon` [1]")
-@sees_risk
-def fall_risk(observation: chex.Array, risk: chex.Array) -> chex.Array:
-    """c_t = the risk.
-
-    Args:
-        observation: s_t, [O]; not looked at.
-        risk: of s_t, [].
-    """
-    del observation
-    return risk
-
-
 @INDICATORS.register("hull_angle", "angle of the hull [rad]")
 @sees(WALKER_OBSERVATION)
 def hull_angle(observation: chex.Array) -> chex.Array:
@@ -117,3 +104,16 @@ def weighted(angle_weight: chex.Numeric = 1.0, velocity_weight: chex.Numeric = 0
 INDICATORS.register("weighted", "angle in 0.1 s if the hull goes on turning as it does [rad]")(
     weighted()
 )
+
+
+@INDICATORS.register("fall_risk", "learned probability of a fall within `risk_horizon` [1]")
+@sees_risk
+def fall_risk(observation: chex.Array, risk: chex.Array) -> chex.Array:
+    """c_t = the risk.
+
+    Args:
+        observation: s_t, [O]; not looked at.
+        risk: of s_t, [].
+    """
+    del observation
+    return risk
