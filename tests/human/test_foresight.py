@@ -22,14 +22,16 @@ def env():
 
 def test_the_feet_are_where_box2d_has_them(env):
     rng = np.random.default_rng(0)
-    for _ in range(30):  # A joint gives way by up to 4 cm when a foot hits the ground.
+    errors = []
+    for _ in range(40):
         seen, *_ = env.step(rng.uniform(-1.0, 1.0, 4))
-        forward, up = feet(jnp.asarray(seen))
+        told = np.stack(feet(jnp.asarray(seen)), axis=1)
+        ends = [shin.GetWorldPoint((0.0, -34 / 60)) for shin in (env.legs[1], env.legs[3])]
         hull = env.hull.position
-        shins = env.legs[1], env.legs[3]
-        ends = [shin.GetWorldPoint((0.0, -34 / 60)) for shin in shins]
-        np.testing.assert_allclose(forward, [end.x - hull.x for end in ends], atol=0.05)
-        np.testing.assert_allclose(up, [end.y - hull.y for end in ends], atol=0.05)
+        are = [(end.x - hull.x, end.y - hull.y) for end in ends]
+        errors.append(np.abs(told - are).max())
+    assert np.median(errors) < 0.005
+    assert max(errors) < 0.1  # A joint gives way by some centimetres when a foot hits the ground.
 
 
 def test_the_centre_of_mass_is_extrapolated_by_its_speed(env):
