@@ -2,6 +2,8 @@
 
 import contextlib
 import re
+import signal
+import traceback
 from collections.abc import Callable, Iterator
 
 
@@ -83,6 +85,14 @@ def name_of(value: object) -> str:
     return f"{kind} {value!r}"[:100] if plain else kind
 
 
+def is_told_to_end(error: BaseException) -> bool:
+    """Whether an error was raised by the handler of a signal, wherever that came."""
+    handlers = [signal.getsignal(number) for number in signal.valid_signals()]
+    codes = {getattr(handler, "__code__", None) for handler in handlers}
+    frames = traceback.walk_tb(error.__traceback__)
+    return any(frame.f_code in codes for frame, _ in frames)
+
+
 @contextlib.contextmanager
 def blamed_on(
     name: str, value: str, passes: tuple[type[BaseException], ...] = ()
@@ -104,4 +114,6 @@ def blamed_on(
     except passes:
         raise
     except (Exception, SystemExit) as error:  # Code that exits would end the command unexplained.
+        if is_told_to_end(error):
+            raise
         raise InvalidValue(name, value, f"raised {said_by(error)}") from error

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from types import ModuleType
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from hitl_jax.errors import InvalidValue, ResultsError, blamed_on, name_of, said_by
+from hitl_jax.errors import InvalidValue, ResultsError, blamed_on, is_told_to_end, name_of, said_by
 
 T = TypeVar("T")
 
@@ -211,6 +211,8 @@ class Registry(Mapping[str, Entry], Generic[T]):
         try:
             found = _import(module)
         except (Exception, SystemExit) as error:  # Whatever a module does when it is imported.
+            if is_told_to_end(error):
+                raise
             why = f"{module} cannot be imported: {said_by(error)}"
             raise InvalidValue(self.option, choice, why) from error
         with blamed_on(self.option, choice):  # A module can have a `__getattr__` of its own.

@@ -1,5 +1,7 @@
 """What a user's own module does when it is asked for a choice is one line."""
 
+import signal
+
 import pytest
 
 from hitl_jax.boundary import SOURCES, BoundarySource
@@ -80,3 +82,19 @@ def test_an_object_is_named_without_all_that_it_holds():
             kinds.make(given)
     with pytest.raises(InvalidValue, match=r"^odd BoundarySource: must be one of"):
         kinds.check(BoundarySource(print, print, print))
+
+
+def test_a_signal_that_ends_the_process_is_nobodys_fault():
+    """As Ray's processes, whose handler of SIGTERM exits."""
+
+    def leave(number, frame):
+        raise SystemExit(1)
+
+    before = signal.signal(signal.SIGTERM, leave)
+    registry = Registry("toy", "toy", lambda value: isinstance(value, int))
+    registry.register("slow", "")(lambda: signal.raise_signal(signal.SIGTERM))
+    try:
+        with pytest.raises(SystemExit):
+            registry.make("slow")
+    finally:
+        signal.signal(signal.SIGTERM, before)
