@@ -16,8 +16,11 @@ CAME_LATER: dict[str, dict[str, Any]] = {
         "matmul_precision": "float32",
         "human_parts": ["delay", "mistakes", "lapses", "attention"],
         "human_actions": "scripted",
+        "risk_hidden_sizes": [64, 64],
+        "risk_batch_size": 64,
+        "risk_horizon": 50,
     },
-    "hyper": {"human": {"extra": {}}, "extra": {}},
+    "hyper": {"human": {"extra": {}}, "extra": {}, "risk_learning_rate": 3e-4},
 }
 """Choices added since results were kept, by section, and the value that changes nothing."""
 
