@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitl_jax.analysis import alarm_figures, boundary_map
+from hitl_jax.analysis import alarm_figures, boundary_map, warning_figures
 from hitl_jax.analysis.claims import judge
 from hitl_jax.analysis.figures import draw_all
 from hitl_jax.analysis.markdown import table
@@ -111,6 +111,8 @@ def _comparison(comparison: _Comparison, root: pathlib.Path, say: Callable[[str]
     failures = draw_all(folder).failures
     if (folder.path / alarm_figures.DATA).exists():
         failures += alarm_figures.draw(folder).failures
+    if (folder.path / warning_figures.WARNINGS).exists():
+        failures += warning_figures.draw(folder).failures
     for failure in failures:
         say(failure)
     runs: dict[str, list[Run]] = {}

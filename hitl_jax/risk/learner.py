@@ -66,7 +66,7 @@ class RiskLearner:
         """Minibatches to learn from, and to correct the logits with.
 
         Args:
-            memory: the replay; `replay.num_starts` of the horizon must be positive.
+            memory: the replay.
             layout: its columns.
             column: the run's column, [].
             key: consumed.

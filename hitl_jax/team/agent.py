@@ -271,10 +271,10 @@ def learn(
     risk, before = agent.risk_learner, state.risk
     if risk is None or before is None:
         return state
-    drawn = risk.draw(memory, agent.layout, column, jax.random.fold_in(boundary_key, _OF_RISK))
 
     def learn_risk(before: RiskState) -> RiskState:
-        return risk.improve(hyper, before, *drawn)[0]
+        risk_key = jax.random.fold_in(boundary_key, _OF_RISK)
+        return risk.improve(hyper, before, *risk.draw(memory, agent.layout, column, risk_key))[0]
 
     after = jax.lax.cond(hyper.has_arbiter > 0, learn_risk, lambda before: before, before)
     return dataclasses.replace(state, risk=after)
