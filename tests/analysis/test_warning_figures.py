@@ -47,11 +47,14 @@ def folder(tmp_path):
         for seed in range(3)
         for place in range(10)
     ]
-    _write(made.path / warning_figures.WARNINGS, warning_figures.WARNING_COLUMNS, warnings)
-    _write(
-        made.path / warning_figures.RELIABILITY, warning_figures.RELIABILITY_COLUMNS, reliability
-    )
+    _write_both(made, warnings, reliability)
     return made
+
+
+def _write_both(folder, warnings, reliability):
+    _write(folder.path / warning_figures.WARNINGS, warning_figures.WARNING_COLUMNS, warnings)
+    columns = warning_figures.RELIABILITY_COLUMNS
+    _write(folder.path / warning_figures.RELIABILITY, columns, reliability)
 
 
 def test_it_is_drawn(folder):
