@@ -4,6 +4,9 @@ import dataclasses
 import pathlib
 from collections.abc import Callable
 
+import jax
+
+from hitl_jax.agreement.accelerator import measure_accelerator
 from hitl_jax.agreement.returns import measure_scripted, measure_trained
 from hitl_jax.agreement.states import measure_rollout, measure_step
 from hitl_jax.choices.checks import MOST_SEED, require_whole
@@ -17,9 +20,12 @@ from hitl_jax.results.episode_measures import Row
 class AgreementOptions:
     """Compare the walker in JAX with gymnasium's: one step, rollouts, returns, trained walkers.
 
+    Where JAX has an accelerator, it also compares the walker there with the same on the CPU.
+
     Attributes:
-        only: parts: some of step, rollout, scripted, trained; all by default, but for trained with
-            --hardcore, since nobody has trained there.
+        only: parts: some of step, rollout, scripted, trained, accelerator; all by default, but for
+            trained with --hardcore, since nobody has trained there, and for accelerator where JAX
+            has none.
         hardcore: on terrain with stumps, stairs and pits.
         episodes: of the scripted walker in each environment.
         test_episodes: of a trained walker in each.
@@ -52,7 +58,8 @@ def main(options: AgreementOptions) -> int:
     Returns:
         The exit code.
     """
-    there_are = [part for part in PARTS if not (options.hardcore and part == "trained")]
+    lacks = {"trained": options.hardcore, "accelerator": jax.default_backend() == "cpu"}
+    there_are = [part for part in PARTS if not lacks.get(part)]
     parts = [part for given in options.only for part in given.split(",")] or there_are
     if not set(parts) <= set(there_are):
         raise BadInput(f"--only {' '.join(options.only)}: must be some of {', '.join(there_are)}")
@@ -61,7 +68,8 @@ def main(options: AgreementOptions) -> int:
             require_whole(name, getattr(options, name), at_least=1)
         require_whole("seed", options.seed, at_most=MOST_SEED)
         for part in parts:
-            require_backend("gymnasium" if part in ("step", "rollout") else "lean")
+            if part != "accelerator":
+                require_backend("gymnasium" if part in ("step", "rollout") else "lean")
     for folder in options.trained:
         if "trained" in parts and not (pathlib.Path(folder) / "config.json").exists():
             raise BadInput(f"--trained {folder}: holds no results")
@@ -77,4 +85,5 @@ PARTS: dict[str, Callable[[AgreementOptions], list[Row]]] = {
     "trained": lambda options: measure_trained(
         options.trained, options.runs, options.test_episodes, say
     ),
+    "accelerator": lambda options: measure_accelerator(options.seed, options.hardcore),
 }

@@ -106,6 +106,7 @@ def _where(known: chex.Array, metrics: Metrics) -> Metrics:
     return {name: jnp.where(known, value, jnp.nan) for name, value in metrics.items()}
 
 
-def on_host(metrics: Metrics) -> dict[str, float]:
-    """Metrics [] of a device as Python's numbers; waits for them."""
-    return {name: float(value) for name, value in jax.device_get(metrics).items()}
+def on_host(metrics: Metrics, count: int) -> list[dict[str, float]]:
+    """Metrics [K] of a device as Python's numbers, of the first `count` runs; waits for them."""
+    fetched = jax.device_get(metrics)
+    return [{name: float(value[k]) for name, value in fetched.items()} for k in range(count)]

@@ -62,7 +62,8 @@ class Programs(NamedTuple):
             runs, one device after the other, leaves [A, ...].
         boundaries: acting to the carry of each run's boundary source, [A] or [A, K].
         unpack_train: (training states as words [R, P], slot) to that of the run in `slot`.
-        diagnose: (learner, slot) to what `team.diagnostics` measures of the run in `slot`.
+        diagnose: (learner, slots int32 [K]) to what `team.diagnostics` measures of the runs there,
+            leaves [K].
         restore: (learner, slot, training state as words [P], the run's column of the ring [T, W],
             value of the cursor when the run began) to the learner with that run in `slot`; donates.
         restore_acting: (acting, slot, acting state as words [S]) to acting; donates.
@@ -79,7 +80,7 @@ class Programs(NamedTuple):
     unpack_behavior: Callable[..., Behavior]
     boundaries: Callable[[ActingBatch], chex.Array]
     unpack_train: Callable[..., TrainState]
-    diagnose: Callable[[LearnerBatch, int], Metrics]
+    diagnose: Callable[[LearnerBatch, chex.Array], Metrics]
     restore: Callable[..., LearnerBatch]
     restore_acting: Callable[..., ActingBatch]
     begin_ring: Callable[..., LearnerBatch]
@@ -167,10 +168,16 @@ def _boundaries(agent: Agent, acting: ActingBatch) -> chex.Array:
     return jax.vmap(lambda state: unpack(like, state).boundary)(acting.state)
 
 
-def _diagnose(agent: Agent, learner: LearnerBatch, slot: chex.Array) -> Metrics:
-    state = unpack(some_train(agent), learner.train[slot])
-    hyper = unpack(some_hyper(agent), learner.hyper[slot])
-    return diagnose(agent, hyper, state, learner.memory, slot)
+def _diagnose(agent: Agent, learner: LearnerBatch, slots: chex.Array) -> Metrics:
+    def one(slot: chex.Array) -> Metrics:
+        state = unpack(some_train(agent), learner.train[slot])
+        hyper = unpack(some_hyper(agent), learner.hyper[slot])
+        return diagnose(agent, hyper, state, learner.memory, slot)
+
+    if len(slots) > 1:
+        metrics: Metrics = jax.vmap(one)(slots)
+        return metrics
+    return {name: value[None] for name, value in one(slots[0]).items()}
 
 
 def _restore(

@@ -3,7 +3,7 @@
 import dataclasses
 import operator
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import chex
 import jax
@@ -40,7 +40,8 @@ class LearnerQueue:
         """
         devices = learning_devices()
         self.num_updates = config.num_updates(agent.learner.policy_delay)
-        self.programs = compiled_batch.make_programs(agent, self.num_updates, default_tile(slots))
+        self._tile = default_tile(slots)
+        self.programs = compiled_batch.make_programs(agent, self.num_updates, self._tile)
         self._layout, self._frames = agent.layout, config.frames
         self._share = slots // len(devices)
         empty = [
@@ -140,14 +141,23 @@ class LearnerQueue:
             learned.append(after)
         self._learned.append(learned)
 
-    def diagnose(self, slot: int) -> Metrics:
-        """What a run's learners are at after the calls so far, see `team.diagnostics`; not awaited.
+    def diagnose(self, slots: Sequence[int]) -> Iterator[tuple[Sequence[int], Metrics]]:
+        """What runs' learners are at after the calls so far, see `team.diagnostics`; not awaited.
 
         Args:
-            slot: of a run that has learned.
+            slots: of runs that have learned.
+
+        Yields:
+            Some of the slots, as many as are learned at once, and their metrics, leaves [K]; those
+            behind the last slot mean nothing.
         """
-        device, column = divmod(slot, self._share)
-        return self.programs.diagnose(self._batches[device], column)
+        for device, batch in enumerate(self._batches):
+            own = [slot for slot in slots if slot // self._share == device]
+            for begin in range(0, len(own), self._tile):
+                some = own[begin : begin + self._tile]
+                columns = np.full(self._tile, some[0] % self._share, np.int32)
+                columns[: len(some)] = np.array(some) % self._share
+                yield some, self.programs.diagnose(batch, columns)
 
     def wait(self) -> None:
         """Returns when the learner has nothing left to do."""

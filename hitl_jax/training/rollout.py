@@ -106,7 +106,7 @@ class Rollout:
         self._queue = deque(sorted(specs, key=lambda spec: spec.key not in self._saved))
         self._held: set[RunKey] = set()
         self._ahead: _Chunk | None = None
-        self._diagnosed: deque[tuple[Run, Row, Metrics]] = deque()
+        self._diagnosed: deque[tuple[list[tuple[Run, Row]], Metrics]] = deque()
         self._fill(self._learner.order())
 
     def __iter__(self) -> Iterator[list[FinishedRun]]:
@@ -149,7 +149,9 @@ class Rollout:
         Args:
             run: one that has a slot, and has played so long that it may learn.
         """
-        return run.counters() | on_host(self._learner.diagnose(run.slot))
+        [(_, metrics)] = self._learner.diagnose([run.slot])
+        [measured] = on_host(metrics, 1)
+        return run.counters() | measured
 
     def save(self) -> list[SavedRun]:
         """The runs that are under way, have just ended, or were saved and wait for a slot.
@@ -314,26 +316,34 @@ class Rollout:
 
     def _learn(self, frames: np.ndarray) -> None:
         """Starts the learner on a chunk; does not wait for it."""
-        slots = []
-        for run in self.runs():
-            n_step, hyper = self._agent.config.n_step, run.spec.hyper
-            if not run.done and may_learn(hyper, run.ticks, self._config.chunk, n_step):
-                slots.append(run.slot)
-                run.updates += self._learner.num_updates
-        self._learner.learn(frames, slots)
+        chunk, n_step = self._config.chunk, self._agent.config.n_step
+        learning = {
+            run.slot: run
+            for run in self.runs()
+            if not run.done and may_learn(run.spec.hyper, run.ticks, chunk, n_step)
+        }
+        for run in learning.values():
+            run.updates += self._learner.num_updates
+        self._learner.learn(frames, list(learning))
         self._note_diagnostics(wait=False)
-        for run in self.runs():
-            if run.slot in slots and run.updates % EVERY < self._learner.num_updates:
-                self._diagnosed.append((run, run.counters(), self._learner.diagnose(run.slot)))
+        due = [
+            slot
+            for slot, run in learning.items()
+            if run.updates % EVERY < self._learner.num_updates
+        ]
+        for slots, metrics in self._learner.diagnose(due):
+            rows = [(learning[slot], learning[slot].counters()) for slot in slots]
+            self._diagnosed.append((rows, metrics))
 
     def _note_diagnostics(self, wait: bool) -> None:
         """Notes the samples of the learners in their order: those that are there, or all."""
         while self._diagnosed:
-            run, row, metrics = self._diagnosed[0]
+            rows, metrics = self._diagnosed[0]
             if not (wait or all(value.is_ready() for value in metrics.values())):
                 return
             self._diagnosed.popleft()
-            run.diagnostics.append(row | on_host(metrics))
+            for (run, row), measured in zip(rows, on_host(metrics, len(rows)), strict=True):
+                run.diagnostics.append(row | measured)
 
 
 def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:

@@ -4,6 +4,7 @@ Each CPU device here is an XLA client of its own, with one thread; see `cpu_devi
 """
 
 import functools
+import math
 import os
 import sys
 import warnings
@@ -13,6 +14,8 @@ import jax
 
 from hitl_jax.xla.cores import num_cores
 
+MOST_AT_ONCE = 256
+"""Runs that an accelerator learns at once."""
 _ACTING = "acting"
 _LEARNER_NICE = 10
 
@@ -49,12 +52,16 @@ def default_tile(slots: int) -> int:
     """The default number of runs that one device learns at once.
 
     One on a CPU: XLA's sums are faster without an axis of runs, and one run's parameters, targets
-    and moments (about a megabyte) fit into the core's cache. All its runs on an accelerator.
+    and moments (about a megabyte) fit into the core's cache. An accelerator takes as many as keep
+    what a layer gives to the next in its cache, in tiles of equal size.
 
     Args:
         slots: number of runs of all devices together.
     """
-    return 1 if jax.default_backend() == "cpu" else slots // len(learning_devices())
+    if jax.default_backend() == "cpu":
+        return 1
+    share = slots // len(learning_devices())
+    return math.ceil(share / math.ceil(share / MOST_AT_ONCE))
 
 
 def acting_device() -> jax.Device:
