@@ -10,6 +10,7 @@ their operands to TensorFloat-32, as XLA's do on a GPU, and sum in float32.
 """
 
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -18,6 +19,8 @@ import jax
 import jax.numpy as jnp
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton
+
+from hitl_jax.xla import gpu
 
 _ROWS = 64
 """Rows that a block of threads works on."""
@@ -47,7 +50,7 @@ def fits(rows: int, sizes: Sequence[int]) -> bool:
     return (
         (rows % _ROWS == 0 or rows in (_LEAST, 2 * _LEAST))
         and full[1:-1] == list(sizes[1:-1])
-        and all(a * b <= _MOST_WEIGHTS for a, b in zip(full, full[1:], strict=False))
+        and all(a * b <= _MOST_WEIGHTS for a, b in itertools.pairwise(full))
     )
 
 
@@ -159,12 +162,9 @@ def _call(
         out_specs=[of_block(shape) for shape in shapes],
         out_shape=[jax.ShapeDtypeStruct((blocks, *shape), jnp.float32) for shape in shapes],
         compiler_params=triton.CompilerParams(num_warps=_WARPS, num_stages=1),
-        interpret=INTERPRET,
+        interpret=not gpu.on_gpu(),  # For tests: the same, operation by operation.
     )(*by_rows, *leaves)
     return results
-
-
-INTERPRET = False
 
 
 class _Hidden(NamedTuple):
@@ -197,9 +197,7 @@ def _hidden(layers: Sequence[Layer], layer_norm: bool, x: chex.Array) -> list[_H
     return computed
 
 
-def _times(
-    left: chex.Array, right: chex.Array, over: tuple[int, int] = (1, 0)
-) -> chex.Array:
+def _times(left: chex.Array, right: chex.Array, over: tuple[int, int] = (1, 0)) -> chex.Array:
     """A product of matrices that sums over these axes of them."""
     return jax.lax.dot_general(
         left, right, (((over[0],), (over[1],)), ((), ())), preferred_element_type=jnp.float32

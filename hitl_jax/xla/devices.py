@@ -14,7 +14,7 @@ import jax
 
 from hitl_jax.xla.cores import num_cores
 
-MOST_AT_ONCE = 256
+MOST_AT_ONCE = 1024
 """Runs that an accelerator learns at once."""
 _ACTING = "acting"
 _LEARNER_NICE = 10

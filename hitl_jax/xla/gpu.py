@@ -1,0 +1,1 @@
+from hitl_jax.walker.gpu import default_device, on_gpu  # placeholder until merged
