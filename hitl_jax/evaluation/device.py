@@ -147,6 +147,9 @@ class DeviceExaminer:
         self._program = jax.jit(
             functools.partial(_play, self._agent, _CHUNK), donate_argnums=(1, 2, 4)
         )
+        # Kept from test to test: what they have grown to is not made anew.
+        width = self._agent.layout.without_observation.step_width
+        self._logs = [EpisodeLog(pool.lanes, width) for _ in pool.blocks]
         self.num_episodes = num_episodes
         self.num_runs = max(pool.num_walkers // num_episodes, 1)
 
@@ -162,8 +165,8 @@ class DeviceExaminer:
             [Row() for _ in range(len(trial.policies) * trial.episodes)] for trial in trials
         ]
         blocks = [
-            _DeviceWalkers(self._agent, self._trained, self._pool, index)
-            for index in range(len(self._pool.blocks))
+            _DeviceWalkers(self._agent, self._trained, self._pool, index, log)
+            for index, log in enumerate(self._logs)
         ]
         while True:
             for block in blocks:
@@ -184,14 +187,13 @@ class DeviceExaminer:
 class _DeviceWalkers:
     """The walkers of one device, L, in groups of 16."""
 
-    def __init__(self, agent: Agent, trained: Agent, pool: JaxPool, index: int):
+    def __init__(self, agent: Agent, trained: Agent, pool: JaxPool, index: int, log: EpisodeLog):
         self._agent, self._trained, self._pool, self._index = agent, trained, pool, index
-        lanes = len(jax.tree.leaves(pool.walkers[index])[0])
+        self._log, lanes = log, pool.lanes
         self._groups: list[_Group | None] = [None] * (lanes // _GROUP)
         self._active = np.zeros(lanes, bool)  # Of what is booked.
         self._hypers = [RunHyper()] * lanes
         self._logged = agent.layout.without_observation
-        self._log = EpisodeLog(lanes, self._logged.step_width)
         self._states: _GroupStates | None = None
         self._told: deque[_Told] = deque()
 
@@ -225,6 +227,8 @@ class _DeviceWalkers:
         episodes = range(group.first, group.first + _GROUP)
         lanes = slice(place * _GROUP, (place + 1) * _GROUP)
         self._hypers[lanes] = [hyper] * _GROUP
+        for lane in range(lanes.start, lanes.stop):
+            self._log.begin(lane)
         self._active[lanes] = plays = np.array(episodes) <= group.last
         return _GroupStart(
             policy=_Policy(hyper, snapshot.behavior),
@@ -258,7 +262,6 @@ class _DeviceWalkers:
 
     def _ended(self, lane: int, row: Row) -> tuple[_Group, int, Row]:
         self._active[lane] = False
-        self._log.begin(lane)
         number, place = divmod(lane, _GROUP)
         group = self._groups[number]
         assert group is not None
