@@ -8,7 +8,7 @@ from hitl_jax.analysis.figure_style import literal
 from hitl_jax.analysis.summary import skill_over_training
 from hitl_jax.results.config_diff import flatten
 from hitl_jax.results.episode_tables import METHODS, Table
-from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.folder import ResultsFolder, Run
 
 
 class MethodData(NamedTuple):
@@ -94,13 +94,18 @@ class FigureData(NamedTuple):
         return f"mean of the last {self.window} episodes"
 
 
-def load(folder: ResultsFolder) -> FigureData:
+def load(folder: ResultsFolder, runs: list[Run] | None = None) -> FigureData:
     """The data of a folder, those of unfinished runs included.
+
+    Args:
+        folder: the results.
+        runs: its finished runs; None reads them.
 
     Raises:
         ResultsError: if the folder or a run is damaged.
     """
-    runs, partials = folder.load_all(), folder.load_partials()
+    runs = folder.load_all() if runs is None else runs
+    partials = folder.load_partials()
     methods = []
     for name in METHODS:
         finished = [run for run in runs if run.key.method == name]

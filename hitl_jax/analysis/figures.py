@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from hitl_jax.analysis import boundary_figures, human_figure, return_figures, skill_figures
 from hitl_jax.analysis.figure_data import FigureData, load
 from hitl_jax.analysis.figure_style import Drawn, attempt, save
-from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.folder import ResultsFolder, Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,16 +32,17 @@ DRAWINGS: dict[str, Callable[[FigureData], Figure | None]] = {
 """By the name of the file; each gives None where there are no data for it."""
 
 
-def draw_all(folder: ResultsFolder) -> Drawn:
+def draw_all(folder: ResultsFolder, runs: list[Run] | None = None) -> Drawn:
     """Draws every figure that the data allow, early data of unfinished runs included.
 
     Args:
         folder: the results.
+        runs: its finished runs; None reads them.
 
     Raises:
         ResultsError: if the folder or a run is damaged, or a file cannot be written.
     """
-    data = load(folder)
+    data = load(folder, runs)
 
     def make(name: str) -> list[pathlib.Path] | None:
         figure = DRAWINGS[name](data)

@@ -98,11 +98,12 @@ def summarise(folder: ResultsFolder) -> tuple[Row, ...]:
     return tuple(summarise_run(run) for run in folder.load_all())
 
 
-def write_summary(folder: ResultsFolder) -> list[pathlib.Path]:
+def write_summary(folder: ResultsFolder, runs: list[Run] | None = None) -> list[pathlib.Path]:
     """Writes summary.csv, a row for each finished run, and summary.md, the methods compared.
 
     Args:
         folder: the results.
+        runs: its finished runs; None reads them.
 
     Returns:
         The two files.
@@ -110,7 +111,7 @@ def write_summary(folder: ResultsFolder) -> list[pathlib.Path]:
     Raises:
         ResultsError: if a run is damaged or a file cannot be written.
     """
-    runs = folder.load_all()
+    runs = folder.load_all() if runs is None else runs
     rows = [summarise_run(run) for run in runs]
     unfinished = Counter(key.method for key in folder.load_partials())
     table, report = folder.path / "summary.csv", folder.path / "summary.md"

@@ -36,6 +36,19 @@ class EpisodeLog:
             self._steps[self._walkers, self._length] = steps
         self._length += live
 
+    def add_several(self, live: np.ndarray, steps: np.ndarray) -> None:
+        """Adds the steps of several ticks.
+
+        Args:
+            live: which walkers made a step at which tick, bool [N, U].
+            steps: numbers of the steps, read where `live` [N, U, W].
+        """
+        places = self._length[:, None] + live.cumsum(axis=1)  # Behind each step.
+        self._length = places[:, -1]
+        self._grow_to(self._length.max())
+        walkers, ticks = live.nonzero()
+        self._steps[walkers, places[walkers, ticks] - 1] = steps[walkers, ticks]
+
     def begin(self, walker: int, steps: np.ndarray | None = None) -> None:
         """Begins a walker's episode anew.
 
@@ -51,7 +64,10 @@ class EpisodeLog:
     def _grow_to(self, length: int) -> None:
         """Makes room for episodes of this length."""
         if (lack := length - self._steps.shape[1]) > 0:
-            self._steps = np.pad(self._steps, ((0, 0), (0, max(lack, 256)), (0, 0)))
+            before = self._steps
+            num_walkers, room, width = before.shape
+            self._steps = np.zeros((num_walkers, room + max(lack, room, 256), width), np.float32)
+            self._steps[:, :room] = before
 
     def length_of(self, walker: int) -> int:
         """Number of steps of a walker's episode so far."""

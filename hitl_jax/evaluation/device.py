@@ -14,21 +14,24 @@ from hitl_jax.config import RunHyper, typed
 from hitl_jax.envs import StepBatch
 from hitl_jax.envs.episode_log import EpisodeLog
 from hitl_jax.envs.jax_pool import JaxPool
-from hitl_jax.evaluation.trials import Trial, as_tested, frozen, init_test, terrain_seeds, trial_key
+from hitl_jax.evaluation.trials import Trial, as_tested, frozen, init_test, terrain_seeds
+from hitl_jax.learner.frame import Layout
 from hitl_jax.results.episode_measures import Row, lost_test, row_of
 from hitl_jax.team import packed_decision
 from hitl_jax.team.acting import ActingState
 from hitl_jax.team.agent import Agent
-from hitl_jax.training import device_ticks
-from hitl_jax.training.device_ticks import ChunkStart, begins_with
-from hitl_jax.training.stage import Slots
-from hitl_jax.training.step_booking import end_of_step, episode_of, write_answer
+from hitl_jax.training import batch_arrays, device_ticks
+from hitl_jax.training.device_ticks import ChunkStart
+from hitl_jax.training.run_spec import method_index
+from hitl_jax.training.step_booking import episode_of
 from hitl_jax.types import Behavior
 from hitl_jax.xla.devices import walker_devices
 
 _GROUP = 16
 """Episodes of one policy that are acted for together."""
 _CHUNK = 16
+_PUT = 16
+"""Groups that are begun by one call."""
 _MOST_WALKERS = {"cpu": 1024}
 _MOST_ELSEWHERE = 16_384
 
@@ -57,19 +60,55 @@ class _Policy(NamedTuple):
 
 
 class _GroupStates(NamedTuple):
-    """Policies of G groups, leaves [G, ...], and their acting states, leaves [G, 16, ...]."""
+    """What G groups begin a chunk with.
+
+    Attributes:
+        policies: leaves [G, ...].
+        acting: acting states, leaves [G, 16, ...].
+        begin: of the walkers, leaves [G, 16, ...].
+        seeds: of their resets, uint32 [G, 16].
+    """
 
     policies: _Policy
-    states: ActingState
+    acting: ActingState
+    begin: ChunkStart
+    seeds: chex.Array
 
 
 class _GroupStart(NamedTuple):
-    """A policy and its episodes, [16], with what their acting begins from; see `init_test`."""
+    """A policy and its episodes, with what their acting begins from; see `init_test`.
+
+    Attributes:
+        policy: leaves [...].
+        boundary: the boundary source's carry, [] or [C].
+        run: seed and method of the run, see `batch_arrays.traced_run_keys`, uint32 [2].
+        episodes: their numbers, [16].
+        plays: whether an episode is one of the test's, bool [16].
+        seeds: of their resets, uint32 [16].
+    """
 
     policy: _Policy
     boundary: chex.Array
-    key: chex.PRNGKey
+    run: chex.Array
     episodes: chex.Array
+    plays: chex.Array
+    seeds: chex.Array
+
+
+class _Told(NamedTuple):
+    """What L walkers did in a chunk of U ticks.
+
+    Attributes:
+        steps: from the action on, with what the walkers answered, [L, U, A + 13].
+        stepped: whether that is a step of an episode, bool [L, U].
+        ended: whether an episode ended, bool [L].
+        lost: whether one met a number that is not finite, bool [L].
+    """
+
+    steps: chex.Array
+    stepped: chex.Array
+    ended: chex.Array
+    lost: chex.Array
 
 
 class _Group(NamedTuple):
@@ -91,8 +130,8 @@ class _Group(NamedTuple):
 class DeviceExaminer:
     """An `Examiner` for walkers on a device: groups of 16, each of which plays one policy.
 
-    As soon as all episodes of a group have ended, its walkers play the next ones in the queue,
-    whatever run they are of.
+    When all episodes of a group have ended, its walkers play the next ones in the queue, whatever
+    run they are of. A chunk is played while the host books the one before.
     """
 
     def __init__(self, agent: Agent, pool: JaxPool, num_episodes: int):
@@ -106,8 +145,11 @@ class DeviceExaminer:
         self._agent, self._trained = as_tested(agent), agent
         self._pool = pool
         self._program = jax.jit(
-            functools.partial(_play, self._agent, _CHUNK), donate_argnums=(1, 2)
+            functools.partial(_play, self._agent, _CHUNK), donate_argnums=(1, 2, 4)
         )
+        # Kept from test to test: what they have grown to is not made anew.
+        width = self._agent.layout.without_observation.step_width
+        self._logs = [EpisodeLog(pool.lanes, width) for _ in pool.blocks]
         self.num_episodes = num_episodes
         self.num_runs = max(pool.num_walkers // num_episodes, 1)
 
@@ -123,8 +165,8 @@ class DeviceExaminer:
             [Row() for _ in range(len(trial.policies) * trial.episodes)] for trial in trials
         ]
         blocks = [
-            _DeviceWalkers(self._agent, self._trained, self._pool, index)
-            for index in range(len(self._pool.blocks))
+            _DeviceWalkers(self._agent, self._trained, self._pool, index, log)
+            for index, log in enumerate(self._logs)
         ]
         while True:
             for block in blocks:
@@ -145,95 +187,81 @@ class DeviceExaminer:
 class _DeviceWalkers:
     """The walkers of one device, L, in groups of 16."""
 
-    def __init__(self, agent: Agent, trained: Agent, pool: JaxPool, index: int):
+    def __init__(self, agent: Agent, trained: Agent, pool: JaxPool, index: int, log: EpisodeLog):
         self._agent, self._trained, self._pool, self._index = agent, trained, pool, index
-        lanes = len(jax.tree.leaves(pool.walkers[index])[0])
+        self._log, lanes = log, pool.lanes
         self._groups: list[_Group | None] = [None] * (lanes // _GROUP)
-        self._slots = Slots(
-            active=np.zeros(lanes, bool),
-            needs_reset=np.zeros(lanes, bool),
-            seeds=np.zeros((lanes, 1), np.uint32),
-            left=np.ones(lanes, np.int32),
-            observation=np.zeros((lanes, pool.observation_size), np.float32),
-        )
+        self._active = np.zeros(lanes, bool)  # Of what is booked.
         self._hypers = [RunHyper()] * lanes
         self._logged = agent.layout.without_observation
-        self._log = EpisodeLog(lanes, self._logged.step_width)
         self._states: _GroupStates | None = None
-        self._told: tuple[chex.Array, ...] = ()
+        self._told: deque[_Told] = deque()
 
     @property
     def busy(self) -> bool:
         """Whether an episode is under way."""
-        return bool(self._slots.active.any())
+        return bool(self._active.any())
 
     def fill(self, trials: Sequence[Trial], queue: deque[_Group]) -> None:
         """Gives the groups whose episodes have all ended to the next in the queue."""
-        for place in range(len(self._groups)):
-            lanes = slice(place * _GROUP, (place + 1) * _GROUP)
-            if queue and not self._slots.active[lanes].any():
-                self._groups[place] = group = queue.popleft()
-                self._begin(place, lanes, trials[group.trial], group)
+        idle = np.flatnonzero(~self._active.reshape(-1, _GROUP).any(axis=1))
+        starts = []
+        for place in idle[: len(queue)].tolist():
+            self._groups[place] = group = queue.popleft()
+            starts.append((place, self._begin(place, trials[group.trial], group)))
+        device = self._pool.blocks[self._index].device
+        for first in range(0, len(starts), _PUT):
+            some = starts[first : first + _PUT]
+            some += some[-1:] * (_PUT - len(some))  # One number of them, so one program.
+            places, several = zip(*some, strict=True)
+            begun = jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *several), device)
+            if self._states is None:
+                self._states = _waiting(self._agent, len(self._groups), begun)
+            self._states = _put(self._agent, self._states, np.array(places), begun)
 
-    def _begin(self, place: int, lanes: slice, trial: Trial, group: _Group) -> None:
-        snapshot = trial.policies[group.policy]
+    def _begin(self, place: int, trial: Trial, group: _Group) -> _GroupStart:
+        snapshot, spec = trial.policies[group.policy], trial.spec
         # As it was trained, with all options: policies side by side have the same numbers.
-        given = self._trained.with_extra(trial.spec.hyper)
+        given = self._trained.with_extra(spec.hyper)
         hyper = typed(frozen(given, human_present=trial.mode == "assisted"))
-        start = _GroupStart(
-            _Policy(hyper, snapshot.behavior),
-            snapshot.boundary,
-            trial_key(trial.spec),
-            group.first + np.arange(_GROUP),
-        )
-        start = jax.device_put(start, self._pool.blocks[self._index].device)
-        if self._states is None:
-            self._states = _repeated(self._agent, len(self._groups), start)
-        else:
-            self._states = _put(self._agent, self._states, place, start)
-        plays = group.first + np.arange(_GROUP) <= group.last
-        seeds = terrain_seeds(trial.spec, group.last + 1)
-        self._slots.active[lanes] = self._slots.needs_reset[lanes] = plays
-        self._slots.seeds[lanes][plays, 0] = seeds[group.first :]
+        episodes = range(group.first, group.first + _GROUP)
+        lanes = slice(place * _GROUP, (place + 1) * _GROUP)
         self._hypers[lanes] = [hyper] * _GROUP
+        for lane in range(lanes.start, lanes.stop):
+            self._log.begin(lane)
+        self._active[lanes] = plays = np.array(episodes) <= group.last
+        return _GroupStart(
+            policy=_Policy(hyper, snapshot.behavior),
+            boundary=snapshot.boundary,
+            run=np.array([spec.seed, method_index(spec.method)], np.uint32),
+            episodes=np.array(episodes),
+            plays=plays,
+            seeds=terrain_seeds(spec, episodes),
+        )
 
     def start(self, play: Callable[..., Any]) -> None:
         """Begins a chunk, by `_play`; does not wait for it."""
         assert self._states is not None
         walkers = self._pool.walkers
-        device = self._pool.blocks[self._index].device
-        states, walkers[self._index], _, self._told = play(
-            self._states.policies,
-            self._states.states,
-            walkers[self._index],
-            *jax.device_put(begins_with(self._slots), device),
-        )
-        self._states = self._states._replace(states=states)
+        acting, begin, walkers[self._index], told = play(*self._states, walkers[self._index])
+        self._states = self._states._replace(acting=acting, begin=begin)
+        self._told.append(told)
 
     def finish(self) -> Iterator[tuple[_Group, int, Row]]:
-        """Waits for the chunk, and gives the episodes that ended in it."""
-        slots, config, layout = self._slots, self._agent.config, self._agent.layout
-        for decided, live, *played in zip(*jax.device_get(self._told), strict=True):
-            answer, step = StepBatch(*played), np.array(decided)
-            begins = slots.active & slots.needs_reset
-            end = end_of_step(step, answer, layout, live, begins)
-            # Who neither steps nor begins had decided something that is not finite.
-            lost = slots.active & ~(end.sound & (live | begins))
-            for lane in np.flatnonzero(lost).tolist():
-                yield self._ended(lane, lost_test())
-            write_answer(step, answer, layout)
-            self._log.add(live & end.sound, step[:, layout.action.start :])
-            for lane in np.flatnonzero(end.ended).tolist():
-                steps, hyper = self._log.of(lane), self._hypers[lane]
-                yield self._ended(
-                    lane, row_of(episode_of(steps, self._logged, config, hyper), self._pool.ends)
-                )
-            slots.needs_reset[:] = False
-            slots.observation = answer.observation
+        """Waits for the chunk before the last, and gives the episodes that ended in it."""
+        if len(self._told) < 2:
+            return
+        told = jax.device_get(self._told.popleft())
+        self._log.add_several(told.stepped, told.steps)
+        for lane in np.flatnonzero(told.lost).tolist():
+            yield self._ended(lane, lost_test())
+        config, ends = self._agent.config, self._pool.ends
+        for lane in np.flatnonzero(told.ended).tolist():
+            episode = episode_of(self._log.of(lane), self._logged, config, self._hypers[lane])
+            yield self._ended(lane, row_of(episode, ends))
 
     def _ended(self, lane: int, row: Row) -> tuple[_Group, int, Row]:
-        self._slots.active[lane] = False
-        self._log.begin(lane)
+        self._active[lane] = False
         number, place = divmod(lane, _GROUP)
         group = self._groups[number]
         assert group is not None
@@ -241,25 +269,36 @@ class _DeviceWalkers:
 
 
 def _begun(agent: Agent, start: _GroupStart) -> _GroupStates:
-    """One group at the first step of its episodes, policy leaves [...], states [16, ...]."""
-    one = functools.partial(init_test, agent, start.policy.hyper, start.boundary, start.key)
-    return _GroupStates(start.policy, jax.vmap(one)(start.episodes))
+    """One group at the first step of its episodes, policy leaves [...], others [16, ...]."""
+    *_, key = batch_arrays.traced_run_keys(*start.run)
+    one = functools.partial(init_test, agent, start.policy.hyper, start.boundary, key)
+    begin = ChunkStart(
+        active=start.plays,
+        needs_reset=start.plays,
+        left=jnp.ones(_GROUP, jnp.int32),
+        observation=jnp.zeros((_GROUP, agent.layout.observation_size), jnp.float32),
+    )
+    return _GroupStates(start.policy, jax.vmap(one)(start.episodes), begin, start.seeds)
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
-def _repeated(agent: Agent, count: int, start: _GroupStart) -> _GroupStates:
-    """The same start for every group."""
+def _waiting(agent: Agent, count: int, starts: _GroupStart) -> _GroupStates:
+    """Groups that play nothing, each with the first policy of several."""
+    begun = _begun(agent, jax.tree.map(lambda leaf: leaf[0], starts))
     states: _GroupStates = jax.tree.map(
-        lambda leaf: jnp.stack([leaf] * count), _begun(agent, start)
+        lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), begun
     )
-    return states
+    idle = jnp.zeros((count, _GROUP), bool)
+    return states._replace(begin=states.begin._replace(active=idle, needs_reset=idle))
 
 
 @functools.partial(jax.jit, static_argnums=0, donate_argnums=1)
-def _put(agent: Agent, states: _GroupStates, place: int, start: _GroupStart) -> _GroupStates:
-    """A start put in the place of one group."""
-    one = _begun(agent, start)
-    after: _GroupStates = jax.tree.map(lambda leaf, new: leaf.at[place].set(new), states, one)
+def _put(
+    agent: Agent, states: _GroupStates, places: chex.Array, starts: _GroupStart
+) -> _GroupStates:
+    """Starts, leaves [K, ...], put in the places of groups, [K]."""
+    begun = jax.vmap(functools.partial(_begun, agent))(starts)
+    after: _GroupStates = jax.tree.map(lambda leaf, new: leaf.at[places].set(new), states, begun)
     return after
 
 
@@ -267,12 +306,11 @@ def _play(
     agent: Agent,
     count: int,
     policies: _Policy,
-    states: ActingState,
-    walkers: chex.ArrayTree,
+    acting: ActingState,
     begin: ChunkStart,
     seeds: chex.Array,
-    first_left: chex.Array,
-) -> tuple[ActingState, chex.ArrayTree, ChunkStart, tuple[chex.Array, ...]]:
+    walkers: chex.ArrayTree,
+) -> tuple[ActingState, ChunkStart, chex.ArrayTree, _Told]:
     """A chunk of ticks of L walkers in G groups; see `device_ticks.play`."""
     step = functools.partial(packed_decision.act_or_begin, agent)
     group = jax.vmap(step, in_axes=(None, None, 0, 0, 0))
@@ -290,4 +328,29 @@ def _play(
         states = jax.tree.map(unless_idle, after, states)
         return states, decided.reshape(len(live), -1)
 
-    return device_ticks.play(act, agent.layout, count, states, walkers, begin, seeds, first_left)
+    flat = ChunkStart(*(leaf.reshape(-1, *leaf.shape[2:]) for leaf in begin))
+    first_left = jnp.ones_like(flat.left)
+    acting, walkers, end, (decided, live, *played) = device_ticks.play(
+        act, agent.layout, count, acting, walkers, flat, seeds.reshape(-1, 1), first_left
+    )
+    ended = flat.left > end.left
+    told = _Told(
+        steps=_logged(decided, StepBatch(*played), agent.layout),
+        stepped=live.T,
+        ended=ended,
+        lost=flat.active & ~end.active & ~ended,
+    )
+    begin = ChunkStart(*(leaf.reshape(-1, _GROUP, *leaf.shape[1:]) for leaf in end))
+    return acting, begin, walkers, told
+
+
+def _logged(decided: chex.Array, answer: StepBatch, layout: Layout) -> chex.Array:
+    """What is logged of ticks [U, L, W + 6], [L, U, A + 13]."""
+    columns = {
+        layout.reward: answer.reward,
+        layout.terminated: answer.terminated,
+        layout.truncated: answer.truncated,
+    }
+    for column, values in columns.items():
+        decided = decided.at[..., column].set(values.astype(decided.dtype))
+    return decided[..., layout.action.start :].swapaxes(0, 1)

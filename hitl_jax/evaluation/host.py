@@ -225,7 +225,7 @@ def play_trial(examiner: HostExaminer, trial: Trial, watch: Watch | None = None)
         A row for each policy and episode, policy after policy.
     """
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *trial.policies)
-    seeds = np.tile(terrain_seeds(trial.spec, trial.episodes), (len(trial.policies), 1))
+    seeds = np.tile(terrain_seeds(trial.spec, range(trial.episodes)), (len(trial.policies), 1))
     key = trial_key(trial.spec)
     return examiner.evaluate(
         trial.mode, trial.spec.hyper, stacked.behavior, stacked.boundary, key, seeds, watch

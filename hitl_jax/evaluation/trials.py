@@ -158,9 +158,9 @@ def _with_trained(run: Run, trial: Trial, rows: Sequence[Row]) -> list[Row]:
     return rows_of_all
 
 
-def terrain_seeds(spec: RunSpec, episodes: int) -> np.ndarray:
+def terrain_seeds(spec: RunSpec, episodes: range) -> np.ndarray:
     """Reset seeds of a run's test episodes, the same for all methods, uint32 [E]."""
-    seeds = [episode_seed("test", spec.seed, number) for number in range(episodes)]
+    seeds = [episode_seed("test", spec.seed, number) for number in episodes]
     return np.array(seeds, np.uint32)
 
 

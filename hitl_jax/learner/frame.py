@@ -131,4 +131,5 @@ def flag_of(rows: chex.Array, layout: Layout, name: str) -> chex.Array:
 
 def flags_of(rows: chex.Array, layout: Layout) -> Flags:
     """All of `Flags`, see `flag_of`."""
-    return Flags(*(flag_of(rows, layout, name) for name in Flags._fields))
+    flags = rows[..., layout.width : layout.step_width] > 0.5
+    return Flags(*(flags[..., place] for place in range(len(Flags._fields))))

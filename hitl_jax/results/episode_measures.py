@@ -115,13 +115,13 @@ MEASURES = (
     # Environment steps.
     Measure("length", lambda e, _: len(e.reward), 1),
     # Interventions that began.
-    Measure("interventions", lambda e, _: int(e.began.sum()), 0),
+    Measure("interventions", lambda e, _: _count(e.began), 0),
     # Steps in which the human's action was executed.
-    Measure("human_steps", lambda e, _: int(e.human_action.sum()), 0),
+    Measure("human_steps", lambda e, _: _count(e.human_action), 0),
     # Steps with |c_t| >= |τ_t|; of these, those in which the human saw danger, and the others.
-    Measure("alarms", lambda e, _: int(e.alarmed.sum()), 0),
-    Measure("true_alarms", lambda e, _: int((e.alarmed & e.dangerous).sum()), 0),
-    Measure("false_alarms", lambda e, _: int((e.alarmed & ~e.dangerous).sum()), 0),
+    Measure("alarms", lambda e, _: _count(e.alarmed), 0),
+    Measure("true_alarms", lambda e, _: _count(e.alarmed & e.dangerous), 0),
+    Measure("false_alarms", lambda e, _: _count(e.alarmed & ~e.dangerous), 0),
     # Whether the episode ended by a fall, and how it ended.
     Measure("fall", lambda _, end: int(end == "fall"), 1),
     Measure("end", lambda _, end: end, "fall", "text"),
@@ -174,9 +174,13 @@ def row_of(episode: Episode, rule: EndRule = WALKER_ENDS) -> Row:
     return {measure.name: measure.of(episode, end) for measure in MEASURES}
 
 
+def _count(values: np.ndarray) -> int:
+    return int(np.count_nonzero(values))
+
+
 def _sum(values: np.ndarray) -> float:
     """In the order of the steps, as one adds them up while they come."""
-    return float(np.cumsum(values, dtype=float)[-1])
+    return float(values.cumsum(dtype=float)[-1])
 
 
 def _mean(values: np.ndarray) -> float:
@@ -186,7 +190,7 @@ def _mean(values: np.ndarray) -> float:
 def _timely(episode: Episode, end: str) -> np.ndarray:
     """Steps from each alarm in the last second before a fall to the fall, rising, [K]."""
     before_fall = episode.alarmed[-ALARM_WINDOW:] if end == "fall" else episode.alarmed[:0]
-    return np.flatnonzero(before_fall[::-1])
+    return before_fall[::-1].nonzero()[0]
 
 
 def _lead(episode: Episode, end: str) -> float:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hitl_jax.results.episode_measures import MEASURES
+from hitl_jax.results.episode_measures import MEASURES, NAN
 
 Table = dict[str, np.ndarray]
 """Column name to values [T]."""
@@ -180,8 +180,9 @@ def _column(name: str, values: object) -> np.ndarray:
             raise ValueError(f"column {name!r} holds {min(wrong)!r}: not in {_TEXT[name]}")
         return array.astype(str)
     if array.dtype.kind == "U":
-        _require_digits(name, array.tolist())
-        array = np.where(array == "", "nan", array)
+        cells = array.tolist()
+        _require_digits(name, cells)
+        array = np.array([float(cell or NAN) for cell in cells], np.float64)
     try:
         numbers = array.astype(float)
     except ValueError as error:

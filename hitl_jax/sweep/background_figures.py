@@ -29,8 +29,8 @@ def draw(folder: ResultsFolder) -> list[Any]:
     Returns:
         The paths written, and notes on what could not be drawn.
     """
-    tables = write_summary(folder)
-    return [*tables, *figures.draw_all(folder).lines]
+    runs = folder.load_all()
+    return [*write_summary(folder, runs), *figures.draw_all(folder, runs).lines]
 
 
 class BackgroundFigures:

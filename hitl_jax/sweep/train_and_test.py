@@ -153,6 +153,7 @@ def train_and_test(
     """
     _, agent, specs, loop, walkers = batch
     machine, commit = f"{processor()}, {num_cores()} cores", git_commit() or "unknown"
+    made_with = versions()
     cores = walkers.workers or num_cores()
     test_walkers = num_test_walkers(walkers.backend, walkers.test_episodes, len(specs), cores)
 
@@ -184,7 +185,7 @@ def train_and_test(
                     told = evaluate_runs(examiner, some, _modes, between)
                     for finished, (tests, progress) in zip(some, told, strict=True):
                         took = time.monotonic() - finished.run.started
-                        yield Tested(finished, tests, progress, took, machine, versions(), commit)
+                        yield Tested(finished, tests, progress, took, machine, made_with, commit)
                     rollout.release(some)
                 between()
 

@@ -77,13 +77,14 @@ def run_keys(seed: int, method_index: int) -> tuple[chex.PRNGKey, chex.PRNGKey, 
     require_whole("seed", seed, at_most=MOST_SEED)
     require_whole("method_index", method_index)
     # As one program: operation by operation, the keys of a thousand runs take half a minute.
-    return _run_keys(np.uint32(seed), np.uint32(method_index))
+    return traced_run_keys(np.uint32(seed), np.uint32(method_index))
 
 
 @jax.jit
-def _run_keys(
+def traced_run_keys(
     seed: chex.Array, method_index: chex.Array
 ) -> tuple[chex.PRNGKey, chex.PRNGKey, chex.PRNGKey]:
+    """`run_keys` without checks, for numbers on a device, uint32 []."""
     key = jax.random.fold_in(make_key(seed), method_index)
     learning, acting, testing = jax.random.split(key, 3)
     return learning, acting, testing

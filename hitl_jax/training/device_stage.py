@@ -63,7 +63,7 @@ class DeviceStage:
         """See `Stage`."""
         # Not in the program of the ticks: its rounding would tell how many runs there are.
         self._behavior = [
-            self._programs.unpack_behavior([_rows_of(packed, block, self._pool.lanes)])
+            self._programs.unpack_behavior(_rows_of(packed, block, self._pool.lanes))
             for block in self._pool.blocks
         ]
 
@@ -148,10 +148,10 @@ class DeviceStage:
         raise IndexError(slot)
 
 
-def _rows_of(packed: Sequence[jax.Array], block: Block, count: int) -> jax.Array:
+def _rows_of(packed: Sequence[jax.Array], block: Block, count: int) -> list[jax.Array]:
     """A block's rows of parameters that lie on the learning devices, on the block's device.
 
-    Those behind them, up to `count`, are zeros.
+    Rows of zeros follow where `unpack_behavior` would not fill them up to `count`.
     """
     parts, begin = [], 0
     for rows in packed:
@@ -160,9 +160,11 @@ def _rows_of(packed: Sequence[jax.Array], block: Block, count: int) -> jax.Array
             part = rows if (start, stop) == (0, len(rows)) else rows[start:stop]
             parts.append(jax.device_put(part, block.device))
         begin += len(rows)
-    behind = count - (block.stop - block.start)
-    parts.append(jnp.zeros((behind, *parts[0].shape[1:]), parts[0].dtype, device=block.device))
-    return jnp.concatenate(parts)
+    own = block.stop - block.start
+    if full_registers.full(own) < count:
+        behind = (count - own, *parts[0].shape[1:])
+        parts.append(jnp.zeros(behind, parts[0].dtype, device=block.device))
+    return parts
 
 
 def _play(

@@ -306,8 +306,8 @@ class Rollout:
     def _keep_snapshots(self, run: Run) -> None:
         """Keeps those whose episodes have ended in this chunk; there may be several."""
         left = run.spec.snapshots[len(run.snapshots) :]
-        due = [episode for episode in left if episode <= len(run.episodes) or run.diverged]
-        if due:
+        if left and (left[0] <= len(run.episodes) or run.diverged):
+            due = [episode for episode in left if episode <= len(run.episodes) or run.diverged]
             learned, boundary = behavior(self._learner.train_of(run.slot)), self._boundary_of(run)
             run.snapshots += [Snapshot(episode, learned, boundary) for episode in due]
 

@@ -198,7 +198,8 @@ def episode_of(steps: np.ndarray, layout: Layout, config: AgentConfig, hyper: Ru
     """
     flags = flags_of(steps, layout)
     reward, control = steps[:, layout.reward], flags.control
-    ended = np.arange(len(steps)) == len(steps) - 1
+    ended = np.zeros(len(steps), bool)
+    ended[-1] = True
     so_far = np.logical_or.accumulate(control)
     shaped = shaped_reward(
         reward, control, float(hyper.feedback), config.feedback_schedule, ended, so_far
