@@ -28,7 +28,9 @@ _LEAST = 16
 """Least length of an axis of a product; axes are filled up with zeros to a power of two."""
 _MOST_WEIGHTS = 128 * 128
 """Of a layer: they must fit into a multiprocessor's shared memory."""
-_WARPS = 8
+_WIDTH = 64
+"""Columns of a part of an array: more do not fit into a thread's registers."""
+_WARPS = 4
 LAYER_NORM_EPSILON = 1e-6
 
 
@@ -116,7 +118,7 @@ def _filled(leaf: chex.Array, sizes: Sequence[int]) -> chex.Array:
 
 
 def _call(
-    body: Callable[..., list[chex.Array]],
+    body: Callable[..., None],
     x: chex.Array,
     layers: Sequence[Layer],
     layer_norm: bool,
@@ -126,8 +128,9 @@ def _call(
     """Results of a kernel for each block of rows, [blocks, *shape] for each of the shapes.
 
     Args:
-        body: what a block of threads computes, from the layers, whether they are normalised, and
-            the block's rows of `x` and of what is `beside`.
+        body: what a block of threads does with the layers' references, whether they are
+            normalised, the block's rows of `x` and of what is `beside`, and the references of its
+            results.
         x: inputs, [B, I].
         layers: of the network.
         layer_norm: see `dense_layers`.
@@ -140,11 +143,9 @@ def _call(
     by_rows = (x, *beside)
 
     def kernel(*refs: Any) -> None:
-        given = [ref[...] for ref in refs[: len(by_rows) + len(leaves)]]
-        own = jax.tree.unflatten(structure, given[len(by_rows) :])
-        results = body(own, layer_norm, *given[: len(by_rows)])
-        for ref, result in zip(refs[len(given) :], results, strict=True):
-            ref[...] = result
+        rows, weights = refs[: len(by_rows)], refs[len(by_rows) : len(by_rows) + len(leaves)]
+        own = jax.tree.unflatten(structure, weights)
+        body(own, layer_norm, *map(_parts, rows), *refs[len(by_rows) + len(leaves) :])
 
     def of_block(shape: tuple[int, ...]) -> pl.BlockSpec:
         return pl.BlockSpec((None, *shape), lambda block: (block, *(0,) * len(shape)))
@@ -167,6 +168,20 @@ def _call(
     return results
 
 
+Parts = list[chex.Array]
+"""An array [B, F] in parts of some columns, which fit into registers."""
+
+
+def _columns(size: int) -> list[Any]:
+    """Where the parts of an axis are."""
+    width = min(size, _WIDTH)
+    return [pl.ds(begin, width) for begin in range(0, size, width)]
+
+
+def _parts(ref: Any) -> Parts:
+    return [ref[:, columns] for columns in _columns(ref.shape[1])]
+
+
 class _Hidden(NamedTuple):
     """A hidden layer of a block of rows: its inputs, and what goes into its ReLU.
 
@@ -176,25 +191,9 @@ class _Hidden(NamedTuple):
         scale: by which rows were multiplied, [B, 1]; None where they are not normalised.
     """
 
-    inputs: chex.Array
-    before: chex.Array
+    inputs: Parts
+    before: Parts
     scale: chex.Array | None
-
-
-def _hidden(layers: Sequence[Layer], layer_norm: bool, x: chex.Array) -> list[_Hidden]:
-    """The hidden layers."""
-    computed = []
-    for layer in layers[:-1]:
-        before, scale = _times(x, layer.kernel) + layer.bias[None], None
-        if layer_norm:
-            mean = jnp.mean(before, axis=1, keepdims=True)
-            before = before - mean
-            variance = jnp.mean(before * before, axis=1, keepdims=True)
-            scale = jax.lax.rsqrt(variance + LAYER_NORM_EPSILON)
-            before = before * scale
-        computed.append(_Hidden(x, before, scale))
-        x = jnp.maximum(before, 0.0)
-    return computed
 
 
 def _times(left: chex.Array, right: chex.Array, over: tuple[int, int] = (1, 0)) -> chex.Array:
@@ -204,45 +203,98 @@ def _times(left: chex.Array, right: chex.Array, over: tuple[int, int] = (1, 0)) 
     )
 
 
-def _last_inputs(hidden: list[_Hidden], x: chex.Array) -> chex.Array:
-    return jnp.maximum(hidden[-1].before, 0.0) if hidden else x
+def _product(x: Parts, kernel: Any, transposed: bool = False) -> Parts:
+    """A layer's product, x · kernel, or x · kernelᵀ."""
+    inner, outer = map(_columns, kernel.shape[::-1] if transposed else kernel.shape)
+
+    def of(own: Any) -> chex.Array:
+        if transposed:
+            return sum(
+                _times(part, kernel[own, seen], (1, 1)) for part, seen in zip(x, inner, strict=True)
+            )
+        return sum(_times(part, kernel[seen, own]) for part, seen in zip(x, inner, strict=True))
+
+    return [of(own) for own in outer]
 
 
-def _answer(layers: Sequence[Layer], layer_norm: bool, x: chex.Array) -> list[chex.Array]:
-    hidden = _hidden(layers, layer_norm, x)
-    return [_times(_last_inputs(hidden, x), layers[-1].kernel) + layers[-1].bias[None]]
+def _plus_bias(x: Parts, bias: Any) -> Parts:
+    return [part + bias[own][None] for part, own in zip(x, _columns(bias.shape[0]), strict=True)]
 
 
-def _through(hidden: _Hidden, gradient: chex.Array) -> chex.Array:
+def _mean(x: Parts) -> chex.Array:
+    """Of each row, [B, 1]."""
+    total: chex.Array = sum(jnp.sum(part, axis=1, keepdims=True) for part in x)
+    return total / sum(part.shape[1] for part in x)
+
+
+def _relu(x: Parts) -> Parts:
+    return [jnp.maximum(part, 0.0) for part in x]
+
+
+def _hidden(layers: Sequence[Layer], layer_norm: bool, x: Parts) -> list[_Hidden]:
+    """The hidden layers."""
+    computed = []
+    for layer in layers[:-1]:
+        before, scale = _plus_bias(_product(x, layer.kernel), layer.bias), None
+        if layer_norm:
+            mean = _mean(before)
+            before = [part - mean for part in before]
+            variance = _mean([part * part for part in before])
+            scale = jax.lax.rsqrt(variance + LAYER_NORM_EPSILON)
+            before = [part * scale for part in before]
+        computed.append(_Hidden(x, before, scale))
+        x = _relu(before)
+    return computed
+
+
+def _last_inputs(hidden: list[_Hidden], x: Parts) -> Parts:
+    return _relu(hidden[-1].before) if hidden else x
+
+
+def _write(ref: Any, x: Parts) -> None:
+    for part, columns in zip(x, _columns(ref.shape[1]), strict=True):
+        ref[:, columns] = part
+
+
+def _answer(layers: Sequence[Layer], layer_norm: bool, x: Parts, answer: Any) -> None:
+    inputs = _last_inputs(_hidden(layers, layer_norm, x), x)
+    _write(answer, _plus_bias(_product(inputs, layers[-1].kernel), layers[-1].bias))
+
+
+def _through(hidden: _Hidden, gradient: Parts) -> Parts:
     """The gradient of a hidden layer's product, from that of its outputs."""
-    gradient = jnp.where(hidden.before > 0.0, gradient, 0.0)
+    pairs = list(zip(gradient, hidden.before, strict=True))
+    gradient = [jnp.where(before > 0.0, part, 0.0) for part, before in pairs]
     if hidden.scale is None:
         return gradient
-    mean = jnp.mean(gradient, axis=1, keepdims=True)
-    along = jnp.mean(gradient * hidden.before, axis=1, keepdims=True)
-    return (gradient - mean - along * hidden.before) * hidden.scale
+    pairs = list(zip(gradient, hidden.before, strict=True))
+    mean, along = _mean(gradient), _mean([part * before for part, before in pairs])
+    return [(part - mean - along * before) * hidden.scale for part, before in pairs]
 
 
 def _gradient_of_inputs(
-    layers: Sequence[Layer], layer_norm: bool, x: chex.Array, gradient: chex.Array
-) -> list[chex.Array]:
+    layers: Sequence[Layer], layer_norm: bool, x: Parts, gradient: Parts, of_x: Any
+) -> None:
     hidden = _hidden(layers, layer_norm, x)
     for layer, one in zip(reversed(layers), [*reversed(hidden), None], strict=True):
-        gradient = _times(gradient, layer.kernel, over=(1, 1))
+        gradient = _product(gradient, layer.kernel, transposed=True)
         if one is not None:
             gradient = _through(one, gradient)
-    return [gradient]
+    _write(of_x, gradient)
 
 
 def _gradients_of_layers(
-    layers: Sequence[Layer], layer_norm: bool, x: chex.Array, gradient: chex.Array
-) -> list[chex.Array]:
+    layers: Sequence[Layer], layer_norm: bool, x: Parts, gradient: Parts, *of_layers: Any
+) -> None:
     hidden = _hidden(layers, layer_norm, x)
-    inputs = _last_inputs(hidden, x)
-    found: list[chex.Array] = []
+    inputs, of_last_first = _last_inputs(hidden, x), list(of_layers)
     for layer, one in zip(reversed(layers), [*reversed(hidden), None], strict=True):
-        found = [_times(inputs, gradient, over=(0, 0)), jnp.sum(gradient, axis=0), *found]
+        of_bias, of_kernel = of_last_first.pop(), of_last_first.pop()
+        rows, columns = map(_columns, layer.kernel.shape)
+        for part, own in zip(gradient, columns, strict=True):
+            of_bias[own] = jnp.sum(part, axis=0)
+            for given, seen in zip(inputs, rows, strict=True):
+                of_kernel[seen, own] = _times(given, part, (0, 0))
         if one is not None:
-            gradient = _through(one, _times(gradient, layer.kernel, over=(1, 1)))
+            gradient = _through(one, _product(gradient, layer.kernel, transposed=True))
             inputs = one.inputs
-    return found
