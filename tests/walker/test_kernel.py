@@ -2,6 +2,7 @@
 
 import functools
 import math
+import re
 import types
 
 import jax
@@ -10,7 +11,7 @@ import numpy as np
 import ptx_machine
 import pytest
 
-from hitl_jax.envs import Command, make_pool
+from hitl_jax.envs import Command, jax_pool, make_pool
 from hitl_jax.walker import constants, terrain
 from hitl_jax.walker.batching.masked_subset import apply_masked
 from hitl_jax.walker.geometry import Speeds, Vec, pose
@@ -276,6 +277,32 @@ def test_exchanges_that_some_threads_may_not_reach_are_refused(function, parts):
 )
 def test_blocks_are_small_while_a_gpu_has_room(threads, parts, cores, block):
     assert kernel.block_size(threads, parts, cores) == block
+
+
+@pytest.mark.parametrize(
+    ("hardcore", "terrains"), [(False, "walker_profile"), (True, "walker_corners")]
+)
+def test_a_tick_on_a_gpu_is_kernels_with_names_of_their_own(monkeypatch, hardcore, terrains):
+    jax.clear_caches()  # What is traced for a GPU is none for a CPU, and the reverse.
+    with monkeypatch.context() as patch:
+        patch.setattr(gpu, "on_gpu", lambda: True)
+        numbers = jnp.zeros(7, jnp.uint32)
+        walkers = jax.eval_shape(lambda: jax_pool.new_walkers(numbers, hardcore))
+        tick = jax.make_jaxpr(jax_pool.tick.__wrapped__)(
+            walkers, numbers.astype(jnp.int32), jnp.zeros((7, 4)), numbers
+        )
+    jax.clear_caches()
+    names = re.findall(r"\('name', '(walker\w*)'\)", str(tick))
+    assert names == re.findall(r"\.entry (\w+)\(", str(tick))
+    solver = "walker_velocity_iterations", "walker_position_iterations"
+    assert sorted(names) == sorted([terrains, "walker_collide", *solver, "walker_apply_masked"])
+    # A condition would wait for the host.
+    assert "cond" not in {eqn.primitive.name for eqn in tick.jaxpr.eqns}
+
+
+def test_a_lambda_makes_a_kernel_with_a_name():
+    text, _ = _written(functools.partial(lambda b, a: a + b, 1), (), (np.zeros(3, np.float32),))
+    assert ".entry walker_lambda(" in text
 
 
 def test_on_a_cpu_as_kernel_returns_the_function():

@@ -8,6 +8,7 @@ all numbers in registers; XLA calls the result as it is. On other devices nothin
 
 import functools
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -20,7 +21,6 @@ from hitl_jax.walker.gpu.ptx import PtxWriter
 from hitl_jax.walker.gpu.registers import array_of, elements_of
 from hitl_jax.xla import gpu
 
-_NAME = "walker"
 _WARP = 32
 """Threads that a GPU runs together."""
 _BLOCKS_PER_CORE = 8
@@ -63,7 +63,7 @@ def call(function: Callable[..., Any], parts: tuple[int, ...], *args: Any) -> An
     sizes |= {"block_x": block, "block_y": 1, "block_z": 1, "shared_mem_bytes": 0}
     results = jax.ffi.ffi_call("__gpu$xla.gpu.ptx", out_leaves)(
         *leaves,
-        name=_NAME,
+        name=_name(function),
         kernel_type="ptx",
         kernel_data=text,
         **{name: np.int32(size) for name, size in sizes.items()},
@@ -84,6 +84,13 @@ def block_size(threads: int, parts: int, cores: int) -> int:
     while block < _WARP and threads > block * cores * _BLOCKS_PER_CORE:
         block *= 2
     return block
+
+
+def _name(function: Callable[..., Any]) -> str:
+    """A kernel's name, by which profiles tell it from others."""
+    named = function.func if isinstance(function, functools.partial) else function
+    # Of a lambda's name without what PTX does not allow.
+    return "walker_" + re.sub(r"^_+|\W", "", named.__name__, flags=re.ASCII)
 
 
 def kernel_text(function: Callable[..., Any], parts: tuple[int, ...], args: Any) -> tuple[str, Any]:
@@ -137,4 +144,4 @@ def kernel_text(function: Callable[..., Any], parts: tuple[int, ...], args: Any)
     ):
         for row, element in enumerate(elements_of(value)):
             writer.store(address, row * threads, element)
-    return writer.text(_NAME, len(addresses)), shapes_out
+    return writer.text(_name(function), len(addresses)), shapes_out
