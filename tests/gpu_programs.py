@@ -2,17 +2,15 @@
 
 Run as a program, since JAX must be told before it is imported:
 
-    JAX_PLATFORMS=cpu JAX_SKIP_CUDA_CONSTRAINTS_CHECK=1 python tests/gpu_programs.py one_thread
+    JAX_PLATFORMS=cpu JAX_SKIP_CUDA_CONSTRAINTS_CHECK=1 python tests/gpu_programs.py
 
-With `four_threads` it compiles the other version; see `hitl_jax.walker.gpu`. It prints, for each
-program, kernels a tick, and how often a tick waits for the host to look at a
+It prints, for each program, kernels a tick, and how often a tick waits for the host to look at a
 condition. Kernels are counted in XLA's optimised program: what fuses, copies or is called.
 """
 
 import functools
 import json
 import re
-import sys
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +21,7 @@ from hitl_jax.envs import jax_pool
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training import batch_arrays, compiled_batch, device_stage
 from hitl_jax.training.device_ticks import ChunkStart
-from hitl_jax.walker import gpu
+from hitl_jax.xla import gpu
 
 _RUNS, _LANES, _TICKS = 1002, 1008, 16
 _H100 = """
@@ -54,9 +52,9 @@ def main() -> None:
         "", "cuda", topology="1x1x1", target_config=_H100
     ).devices
     gpu.default_device = lambda: device  # What is traced for this device is asked here.
-    with gpu.use(sys.argv[1]):
-        programs = _programs(device)
-    told = {name: _counts(text, in_loop=name == "a chunk") for name, text in programs.items()}
+    told = {
+        name: _counts(text, in_loop=name == "a chunk") for name, text in _programs(device).items()
+    }
     print(json.dumps(told))
 
 

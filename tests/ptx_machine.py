@@ -158,7 +158,7 @@ def _work(name: str, types: list[str]) -> Callable:
         return lambda yes, no, condition: yes if condition else no
     if name == "cvt":
         to = _TYPES[types[1]]
-        rounded = {"rmi": np.floor, "rni": np.rint, "rzi": np.trunc, "rn": lambda a: a}[types[0]]
+        rounded = {"rni": np.rint, "rzi": np.trunc, "rn": lambda a: a}[types[0]]
         return lambda a: to(rounded(a))
     if name == "div":
         return operator.truediv if types[-1] == "f32" else lambda a, b: _INTEGER(int(a / b))

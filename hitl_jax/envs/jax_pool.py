@@ -11,8 +11,8 @@ import numpy as np
 from hitl_jax import walker
 from hitl_jax.envs.base import CheckedPool, Command, StepBatch
 from hitl_jax.results.episode_measures import WALKER_ENDS
-from hitl_jax.walker import Step, Walker, gpu
-from hitl_jax.xla import full_registers
+from hitl_jax.walker import Step, Walker
+from hitl_jax.xla import full_registers, gpu
 from hitl_jax.xla.devices import walker_devices
 from hitl_jax.xla.threefry import make_key
 
@@ -150,10 +150,8 @@ def tick(
     def with_new() -> Walker:
         return _chosen(begins, new_walkers(seed, hardcore), walkers)
 
-    if gpu.uses_four_threads():  # On a GPU a condition waits for the host.
-        before = with_new()
-    else:
-        before = jax.lax.cond(begins.any(), with_new, lambda: walkers)
+    # On a GPU a condition would wait for the host.
+    before = with_new() if gpu.on_gpu() else jax.lax.cond(begins.any(), with_new, lambda: walkers)
     after, step = jax.vmap(walker.step)(before, jnp.where(begins[:, None], 0.0, action))
     return _chosen(idle, walkers, after), step
 

@@ -18,7 +18,6 @@ from hitl_jax.training.compiled_batch import Programs
 from hitl_jax.training.device_ticks import ChunkStart, begins_with
 from hitl_jax.training.stage import Slots, Tick
 from hitl_jax.types import Behavior
-from hitl_jax.walker import gpu
 from hitl_jax.xla import full_registers
 
 
@@ -39,13 +38,14 @@ class DeviceStage:
 
     The pool itself is not told what its walkers do here: it may but RESET them, and go on from
     there. The program ends episodes, begins the next ones and stops runs that are done or not
-    finite, by the same rules as the host loop, which books the chunk afterwards. On CPUs the next
-    one is played while it does; that has not run on a GPU, see `hitl_jax.walker.gpu`.
+    finite, by the same rules as the host loop, which books the chunk afterwards. The next one is
+    played while it does.
     """
+
+    runs_ahead = True
 
     def __init__(self, agent: Agent, pool: JaxPool, programs: Programs):
         """Places acting beside the walkers; without runs yet."""
-        self.runs_ahead = gpu.uses_four_threads() or not gpu.on_gpu()
         self._pool = pool
         self._programs = programs
         self._acting = [

@@ -14,7 +14,6 @@ from hitl_jax.team.agent import make_agent
 from hitl_jax.training import device_stage, host_stage, rollout
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import RunSpec
-from hitl_jax.walker import gpu
 
 
 def _specs(episodes=24, seeds=2):
@@ -135,22 +134,10 @@ def test_slots_of_runs_that_were_held_are_given_on(together):
         _assert_same(run, finished[key])
 
 
-@pytest.mark.parametrize(
-    ("version", "on_gpu", "ahead"),
-    [
-        ("one_thread", False, True),
-        ("four_threads", False, True),
-        ("one_thread", True, False),
-        ("four_threads", True, True),
-    ],
-)
-def test_a_gpu_waits_for_the_books_unless_it_is_asked_not_to(
-    together, monkeypatch, version, on_gpu, ahead
-):
-    monkeypatch.setattr(gpu, "on_gpu", lambda: on_gpu)
-    with gpu.use(version):
-        finished, playing = _play(_specs(), 4)
-    assert playing._stage.runs_ahead is ahead
+def test_a_chunk_that_is_begun_ahead_plays_the_same(together, monkeypatch):
+    assert device_stage.DeviceStage.runs_ahead
+    monkeypatch.setattr(device_stage.DeviceStage, "runs_ahead", False)
+    finished, _ = _play(_specs(), 4)
     for key, run in together.items():
         _assert_same(run, finished[key])
 

@@ -2,6 +2,7 @@
 
 import functools
 import math
+import re
 import types
 
 import jax
@@ -10,36 +11,20 @@ import numpy as np
 import ptx_machine
 import pytest
 
-from hitl_jax.envs import Command, make_pool
-from hitl_jax.walker import constants, gpu, terrain
+from hitl_jax.envs import Command, jax_pool, make_pool
+from hitl_jax.walker import constants, terrain
 from hitl_jax.walker.batching.masked_subset import apply_masked
 from hitl_jax.walker.geometry import Speeds, Vec, pose
-from hitl_jax.walker.gpu import kernel, sincos
-from hitl_jax.walker.gpu.four_threads import sincos as other_sincos
-from hitl_jax.walker.gpu.four_threads import solver as four_threads
-from hitl_jax.walker.gpu.four_threads.thread import ExchangingThreadWriter
-from hitl_jax.walker.gpu.jaxpr_to_ptx import ThreadWriter
+from hitl_jax.walker.gpu import kernel, leg_threads, sincos
 from hitl_jax.walker.physics import contact_solver, ground, impacts, island, joints, world
 from hitl_jax.walker.physics.boxes import Boxes, NearbyGround
 from hitl_jax.walker.physics.contacts import match_impulses
 from hitl_jax.walker.physics.manifolds import touching_first
 from hitl_jax.walker.physics.time_of_impact import Sweep
 from hitl_jax.walker.terrain import Terrain
+from hitl_jax.xla import gpu
 
 _WALKERS = 3
-
-
-@pytest.fixture(params=gpu.VERSIONS)
-def version(request):
-    with gpu.use(request.param):
-        yield request.param
-
-
-@pytest.fixture
-def exchanging():
-    """The version whose threads exchange numbers."""
-    with gpu.use("four_threads"):
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +53,7 @@ def _prepared(before, heights):
 
 
 def _written(function, parts, args):
-    """The PTX of a kernel, of the version in use."""
+    """The PTX of a kernel."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gpu, "on_gpu", lambda: True)
         return kernel.kernel_text(function, parts, args)
@@ -103,12 +88,11 @@ def _are_close(got, expected):
 
 
 def _assert_kernels_equal_cpu(function, args):
-    """A part of a step, with its kernels of the version in use, gives what it gives on a CPU."""
+    """A part of a step, with its kernels, gives what it gives on a CPU."""
     expected = jax.jit(function)(*args)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gpu, "on_gpu", lambda: True)
-        for module in (island, four_threads):
-            patch.setattr(module, "as_kernel", _emulated)
+        patch.setattr(leg_threads, "as_kernel", _emulated)
         got = function(*args)
     _are_close(got, expected)
 
@@ -117,7 +101,7 @@ def _speeds(world):
     return Speeds(world.velocity, world.spin)
 
 
-def test_velocity_iterations(state, version):
+def test_velocity_iterations(state):
     before, _, _, contacts, joint, constraints = state
     assert contacts.touching[:, 1::2].any()
     _assert_kernels_equal_cpu(
@@ -125,7 +109,7 @@ def test_velocity_iterations(state, version):
     )
 
 
-def test_velocity_iterations_with_contacts_of_all_parts(state, version):
+def test_velocity_iterations_with_contacts_of_all_parts(state):
     """Thighs touch too, and shins touch more than two edges."""
     before, _, _, contacts, joint, constraints = state
     everywhere = jax.tree.map(
@@ -152,7 +136,7 @@ def _on_stairs(near, place):
 
 
 @pytest.mark.parametrize("hardcore", [False, True])
-def test_contacts_of_parts(state, exchanging, hardcore):
+def test_contacts_of_parts(state, hardcore):
     before, near, _, contacts, _, _ = state
     legs = world.legs_of(pose(before.place, before.angle))
     assert contacts.touching.any()
@@ -164,14 +148,14 @@ def test_contacts_of_parts(state, exchanging, hardcore):
     )
 
 
-def test_position_iterations(state, version):
+def test_position_iterations(state):
     before, _, manifold, _, joint, _ = state
     _assert_kernels_equal_cpu(
         island.solve_positions, (before.place, before.angle, joint.side, manifold)
     )
 
 
-def test_position_iterations_of_separated_joints(state, version):
+def test_position_iterations_of_separated_joints(state):
     """Joints of both legs of one walker are apart: it needs all iterations, the others do not."""
     before, _, manifold, _, joint, _ = state
     shift = np.zeros((5, _WALKERS), np.float32)
@@ -181,12 +165,8 @@ def test_position_iterations_of_separated_joints(state, version):
     _assert_kernels_equal_cpu(island.solve_positions, (place, angle, joint.side, manifold))
 
 
-@pytest.mark.parametrize(
-    ("version", "hardcore"),
-    [("one_thread", False), ("one_thread", True), ("four_threads", True)],
-    indirect=["version"],
-)
-def test_impacts_have_a_thread_for_each_part(state, version, hardcore):
+@pytest.mark.parametrize("hardcore", [False, True])
+def test_impacts_have_a_thread_for_each_part(state, hardcore):
     before, near, _, contacts, _, _ = state
     if hardcore:
         near = _on_stairs(near, Vec(before.place.x, before.place.y - 0.03))
@@ -205,13 +185,13 @@ def test_impacts_have_a_thread_for_each_part(state, version, hardcore):
     _assert_kernel_equals_cpu(work, (needed, moved, near), parts=(4,))
 
 
-def test_terrain(version):
+def test_terrain():
     pushes = np.linspace(-0.03, 0.03, 200 * _WALKERS, dtype=np.float32).reshape(200, _WALKERS)
     stretches = np.arange(200 * _WALKERS, dtype=np.int32).reshape(200, _WALKERS) % 5 + 5
     _assert_kernel_equals_cpu(terrain._profile, (pushes, stretches))
 
 
-def test_hardcore_terrain(version):
+def test_hardcore_terrain():
     rng = np.random.default_rng(0)
     shape = (constants.TERRAIN_LENGTH, _WALKERS)
     ends = ((5, 10), (1, 4), (1, 3), (3, 5))
@@ -220,16 +200,15 @@ def test_hardcore_terrain(version):
     _assert_kernel_equals_cpu(terrain._corners, (pushes, *integers, rng.random(shape) < 0.5))
 
 
-@pytest.mark.parametrize("module", [sincos, other_sincos])
-def test_sine_and_cosine_are_as_good_as_float32(module):
+def test_sine_and_cosine_are_as_good_as_float32():
     angle = np.linspace(-50, 50, 200_001, dtype=np.float32)
     exact = angle.astype(np.float64)
-    np.testing.assert_allclose(jax.jit(module.sine)(angle), np.sin(exact), atol=2e-7)
-    np.testing.assert_allclose(jax.jit(module.cosine)(angle), np.cos(exact), atol=2e-7)
+    np.testing.assert_allclose(jax.jit(sincos.sine)(angle), np.sin(exact), atol=2e-7)
+    np.testing.assert_allclose(jax.jit(sincos.cosine)(angle), np.cos(exact), atol=2e-7)
 
 
 @pytest.mark.parametrize("parts", [(), (1,), (4,), (2, 2)])
-def test_threads_beyond_the_batch_do_nothing(version, parts):
+def test_threads_beyond_the_batch_do_nothing(parts):
     shape = (*parts, 3)
     text, _ = _written(lambda a: a + 1, parts, (np.zeros(shape, np.float32),))
     given = np.arange(math.prod(shape), dtype=np.float32)
@@ -250,7 +229,7 @@ def test_arguments_of_different_batches_are_refused():
 
 
 @pytest.mark.parametrize("block_size", [None, 4, 8])
-def test_threads_of_a_walker_exchange_numbers(exchanging, block_size):
+def test_threads_of_a_walker_exchange_numbers(block_size):
     def told(a):
         legs = jnp.flip(a, -3)
         known = a[0] > 0
@@ -262,7 +241,7 @@ def test_threads_of_a_walker_exchange_numbers(exchanging, block_size):
     )  # With 8 the last block is half empty.
 
 
-def test_threads_of_a_walker_leave_a_loop_together(exchanging):
+def test_threads_of_a_walker_leave_a_loop_together():
     """A loop runs as often as the slowest thread needs; the others then change nothing."""
 
     def halved(a):
@@ -283,18 +262,13 @@ def test_threads_of_a_walker_leave_a_loop_together(exchanging):
         (lambda a: jnp.flip(a, -2), (4,)),
         (lambda a: jnp.flip(a, -3), (2, 3)),
         (lambda a: jnp.flip(a, -1), (2, 2)),
+        (lambda a: jnp.flip(a, -1), ()),
         (lambda a: jax.lax.cond((a > 0).any(), lambda: jnp.flip(a, -2), lambda: a), (2, 2)),
     ],
 )
-def test_exchanges_that_some_threads_may_not_reach_are_refused(exchanging, function, parts):
+def test_exchanges_that_some_threads_may_not_reach_are_refused(function, parts):
     with pytest.raises(NotImplementedError, match="flipped, or in a branch"):
         _written(function, parts, (np.zeros((*parts, 3), np.float32),))
-
-
-@pytest.mark.parametrize(("axis", "parts"), [(-3, (2, 2)), (-2, (2, 2)), (-2, (4,)), (-1, ())])
-def test_exchanges_of_version_one_thread_are_refused(axis, parts):
-    with pytest.raises(NotImplementedError, match="flipped in a kernel"):
-        _written(lambda a: jnp.flip(a, axis), parts, (np.zeros((*parts, 3), np.float32),))
 
 
 @pytest.mark.parametrize(
@@ -302,8 +276,33 @@ def test_exchanges_of_version_one_thread_are_refused(axis, parts):
     [(1002, 1, 132, 1), (4008, 4, 132, 4), (16_384, 4, 132, 16), (10**6, 4, 132, 32), (8, 4, 1, 4)],
 )
 def test_blocks_are_small_while_a_gpu_has_room(threads, parts, cores, block):
-    assert ExchangingThreadWriter.block_size(threads, parts, cores) == block
-    assert ThreadWriter.block_size(threads, parts, cores) == 32
+    assert kernel.block_size(threads, parts, cores) == block
+
+
+@pytest.mark.parametrize(
+    ("hardcore", "terrains"), [(False, "walker_profile"), (True, "walker_corners")]
+)
+def test_a_tick_on_a_gpu_is_kernels_with_names_of_their_own(monkeypatch, hardcore, terrains):
+    jax.clear_caches()  # What is traced for a GPU is none for a CPU, and the reverse.
+    with monkeypatch.context() as patch:
+        patch.setattr(gpu, "on_gpu", lambda: True)
+        numbers = jnp.zeros(7, jnp.uint32)
+        walkers = jax.eval_shape(lambda: jax_pool.new_walkers(numbers, hardcore))
+        tick = jax.make_jaxpr(jax_pool.tick.__wrapped__)(
+            walkers, numbers.astype(jnp.int32), jnp.zeros((7, 4)), numbers
+        )
+    jax.clear_caches()
+    names = re.findall(r"\('name', '(walker\w*)'\)", str(tick))
+    assert names == re.findall(r"\.entry (\w+)\(", str(tick))
+    solver = "walker_velocity_iterations", "walker_position_iterations"
+    assert sorted(names) == sorted([terrains, "walker_collide", *solver, "walker_apply_masked"])
+    # A condition would wait for the host.
+    assert "cond" not in {eqn.primitive.name for eqn in tick.jaxpr.eqns}
+
+
+def test_a_lambda_makes_a_kernel_with_a_name():
+    text, _ = _written(functools.partial(lambda b, a: a + b, 1), (), (np.zeros(3, np.float32),))
+    assert ".entry walker_lambda(" in text
 
 
 def test_on_a_cpu_as_kernel_returns_the_function():
@@ -319,9 +318,6 @@ def test_kernels_are_for_gpus_with_their_instructions(monkeypatch, platform, cap
     device = types.SimpleNamespace(platform=platform, compute_capability=capability)
     monkeypatch.setattr(jax, "devices", lambda *_: [device])
     assert gpu.on_gpu() is taken
-    assert not gpu.uses_four_threads()
-    with gpu.use("four_threads"):
-        assert gpu.uses_four_threads() is taken
 
 
 @pytest.mark.parametrize(

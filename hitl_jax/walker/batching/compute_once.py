@@ -2,7 +2,7 @@
 
 from typing import TypeVar
 
-from hitl_jax.walker import gpu
+from hitl_jax.xla import gpu
 from hitl_jax.xla.fusion_barrier import fusion_barrier
 
 Tree = TypeVar("Tree")

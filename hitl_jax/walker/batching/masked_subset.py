@@ -9,8 +9,8 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from hitl_jax.walker import gpu
 from hitl_jax.walker.gpu.kernel import as_kernel
+from hitl_jax.xla import gpu
 
 Tree = TypeVar("Tree")
 Other = TypeVar("Other")

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from hitl_jax.walker.gpu.lanes import Lanes
+from hitl_jax.walker.gpu.exchange import ExchangingLanes
 from hitl_jax.walker.gpu.registers import array_of, elements_of
 
 
-class ArrayRules(Lanes):
+class ArrayRules(ExchangingLanes):
     """The rules; each is named as its primitive, and takes an equation and its operands' values."""
 
     def _broadcast_in_dim(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
@@ -56,13 +56,8 @@ class ArrayRules(Lanes):
             value = np.flip(value, outer)
         for axis in axes:
             if axis >= value.ndim:
-                value = self._exchanged(value, axis - value.ndim)
+                value = self.exchanged(value, axis - value.ndim)
         return [value]
-
-    def _exchanged(self, value: np.ndarray, axis: int) -> np.ndarray:
-        """The numbers of the other thread along an axis of the lanes; here refused."""
-        del value
-        raise NotImplementedError(f"axis {axis} of {self._lanes} flipped in a kernel")
 
     def _concatenate(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         return [np.concatenate(given, eqn.params["dimension"])]

@@ -4,12 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from hitl_jax.walker.gpu.lanes import Lanes
-from hitl_jax.walker.gpu.ptx import Element
+from hitl_jax.walker.gpu.exchange import ExchangingLanes
 from hitl_jax.walker.gpu.registers import array_of, elements_of, elements_of_all
 
 
-class ControlFlowRules(Lanes):
+class ControlFlowRules(ExchangingLanes):
     """The rules; each is named as its primitive, and takes an equation and its operands' values."""
 
     def _while(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
@@ -18,14 +17,10 @@ class ControlFlowRules(Lanes):
         carry = self.copied(given[of_test + of_body :])
         with self._writer.loop() as end:
             (test,) = self.run_closed(eqn.params["cond_jaxpr"], [*test_consts, *carry])
-            self._writer.branch(end, unless=self._goes_on(elements_of(test)[0]))
+            self._writer.branch(end, unless=self.goes_on(elements_of(test)[0]))
             after = self.run_closed(eqn.params["body_jaxpr"], [*body_consts, *carry])
             self._writer.move_all(elements_of_all(carry), elements_of_all(after))
         return carry
-
-    def _goes_on(self, wanted: Element) -> Element:
-        """Whether this thread runs a loop's body again, from whether it needs to."""
-        return wanted
 
     def _scan(self, eqn: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         closed = eqn.params["jaxpr"]
@@ -80,6 +75,7 @@ class ControlFlowRules(Lanes):
         other, end = self._writer.label(), self._writer.label()
         condition = self._writer.convert(elements_of(which)[0], "pred")
         self._writer.branch(other, unless=condition)
+        before, self._in_branch = self._in_branch, True
         results = self.copied(self.run_closed(yes, operands))
         self._writer.branch(end)
         self._writer.write(f"{other}:")
@@ -87,4 +83,5 @@ class ControlFlowRules(Lanes):
             elements_of_all(results), elements_of_all(self.run_closed(no, operands))
         )
         self._writer.write(f"{end}:")
+        self._in_branch = before
         return results

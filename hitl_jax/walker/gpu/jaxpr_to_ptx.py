@@ -2,7 +2,8 @@
 
 The jaxpr is that of a function of a batch. Each array [..., B] is taken apart: a thread has one
 number of it for each place of its leading axes, in a register. So slices, stacks and broadcasts
-need no instructions, a loop runs as often as this thread needs, and constants are in the text.
+need no instructions, and constants are in the text. A loop runs as often as this thread needs, or
+the threads with which it exchanges numbers.
 """
 
 import functools

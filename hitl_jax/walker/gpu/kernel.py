@@ -8,6 +8,7 @@ all numbers in registers; XLA calls the result as it is. On other devices nothin
 
 import functools
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -15,13 +16,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax.walker import gpu
-from hitl_jax.walker.gpu.four_threads.thread import ExchangingThreadWriter
 from hitl_jax.walker.gpu.jaxpr_to_ptx import ThreadWriter
 from hitl_jax.walker.gpu.ptx import PtxWriter
 from hitl_jax.walker.gpu.registers import array_of, elements_of
+from hitl_jax.xla import gpu
 
-_NAME = "walker"
+_WARP = 32
+"""Threads that a GPU runs together."""
+_BLOCKS_PER_CORE = 8
+"""Two for each scheduler of a multiprocessor. Blocks are small while there are fewer: the threads
+of a block wait for its slowest one, and run each other's branches."""
 _PLACEHOLDER = 9973
 """Length of the batch while a function is traced; no other axis may have it."""
 
@@ -36,7 +40,7 @@ def as_kernel(function: Callable[..., Any], parts: tuple[int, ...] = ()) -> Call
         function: takes and returns pytrees whose leaves' last axis is the batch, or 1; all else
             that it uses must be constant.
         parts: lengths of the axes just before the batch's, in all leaves: each place of them gets a
-            thread. Threads are independent, except by `ExchangingThreadWriter`.
+            thread. Threads are independent, except where they exchange numbers, see `exchange`.
 
     Returns:
         A function of the same arguments.
@@ -54,12 +58,12 @@ def call(function: Callable[..., Any], parts: tuple[int, ...], *args: Any) -> An
     out_leaves, out_structure = jax.tree.flatten(shapes_out)
     threads = batch * math.prod(parts)
     cores = getattr(gpu.default_device(), "core_count", 1)
-    block = _thread_class().block_size(threads, math.prod(parts), cores)
+    block = block_size(threads, math.prod(parts), cores)
     sizes = {"grid_x": math.ceil(threads / block), "grid_y": 1, "grid_z": 1}
     sizes |= {"block_x": block, "block_y": 1, "block_z": 1, "shared_mem_bytes": 0}
     results = jax.ffi.ffi_call("__gpu$xla.gpu.ptx", out_leaves)(
         *leaves,
-        name=_NAME,
+        name=_name(function),
         kernel_type="ptx",
         kernel_data=text,
         **{name: np.int32(size) for name, size in sizes.items()},
@@ -68,8 +72,25 @@ def call(function: Callable[..., Any], parts: tuple[int, ...], *args: Any) -> An
     return jax.tree.unflatten(out_structure, results)
 
 
-def _thread_class() -> type[ThreadWriter]:
-    return ExchangingThreadWriter if gpu.uses_four_threads() else ThreadWriter
+def block_size(threads: int, parts: int, cores: int) -> int:
+    """Threads in a block; a walker's threads, a power of 2, are in one block.
+
+    Args:
+        threads: number of threads of the kernel.
+        parts: number of threads of a walker.
+        cores: number of the GPU's multiprocessors.
+    """
+    block = parts
+    while block < _WARP and threads > block * cores * _BLOCKS_PER_CORE:
+        block *= 2
+    return block
+
+
+def _name(function: Callable[..., Any]) -> str:
+    """A kernel's name, by which profiles tell it from others."""
+    named = function.func if isinstance(function, functools.partial) else function
+    # Of a lambda's name without what PTX does not allow.
+    return "walker_" + re.sub(r"^_+|\W", "", named.__name__, flags=re.ASCII)
 
 
 def kernel_text(function: Callable[..., Any], parts: tuple[int, ...], args: Any) -> tuple[str, Any]:
@@ -106,7 +127,7 @@ def kernel_text(function: Callable[..., Any], parts: tuple[int, ...], args: Any)
 
     writer = PtxWriter()
     threads = batch * math.prod(parts)
-    thread = _thread_class()(writer, lanes)
+    thread = ThreadWriter(writer, lanes)
     place = thread.begin(batch)
     addresses = [
         writer.address(index, place, leaf.dtype) for index, leaf in enumerate([*leaves, *results])
@@ -123,4 +144,4 @@ def kernel_text(function: Callable[..., Any], parts: tuple[int, ...], args: Any)
     ):
         for row, element in enumerate(elements_of(value)):
             writer.store(address, row * threads, element)
-    return writer.text(_NAME, len(addresses)), shapes_out
+    return writer.text(_name(function), len(addresses)), shapes_out

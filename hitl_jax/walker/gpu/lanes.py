@@ -13,9 +13,6 @@ import numpy as np
 from hitl_jax.walker.gpu.ptx import Element, PtxWriter, Register
 from hitl_jax.walker.gpu.registers import array_of, elements_of
 
-WARP = 32
-"""Threads that a GPU runs together."""
-
 
 class Lanes(abc.ABC):
     """The lanes of a kernel, and the values that one of its threads has of an array.
@@ -38,28 +35,16 @@ class Lanes(abc.ABC):
         self._part: Element | None = None
         """The thread's place on the axes of the parts."""
 
-    @staticmethod
-    def block_size(threads: int, parts: int, cores: int) -> int:
-        """Threads in a block: few, so that a thousand walkers keep a large GPU's processors busy.
-
-        Args:
-            threads: number of threads of the kernel.
-            parts: number of threads of a walker.
-            cores: number of the GPU's multiprocessors.
-        """
-        del threads, parts, cores
-        return WARP
-
     def begin(self, batch: int) -> Register:
         """Begins the kernel: the index of the thread's number in an array [parts, batch].
 
-        Threads are in the order of the array: those of the first part, then those of the second.
+        A walker's threads follow each other.
         """
-        parts = math.prod(self._lanes[:-1])
-        place = self._writer.begin(batch * parts)
-        if self._rank > 1:
-            self._part = self._writer.operate("div", place, np.int32(batch))
-        return place
+        writer, parts = self._writer, math.prod(self._lanes[:-1])
+        thread = writer.begin(batch * parts)
+        self._part = writer.apply("rem.s32", "s32", thread, str(parts))
+        walker = writer.apply("div.s32", "s32", thread, str(parts))
+        return writer.apply("mad.lo.s32", "s32", self._part, str(batch), walker)
 
     def has_lanes(self, shape: Sequence[int]) -> bool:
         """Whether arrays of this shape end with the lanes, so that a thread has a part of them."""

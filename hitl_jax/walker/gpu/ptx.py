@@ -27,7 +27,6 @@ _FLOAT = {
     "neg": "neg.f32",
     "abs": "abs.f32",
     "sqrt": "sqrt.rn.f32",
-    "floor": "cvt.rmi.f32.f32",
     "round": "cvt.rni.f32.f32",
 }
 _INTEGER = {

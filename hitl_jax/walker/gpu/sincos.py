@@ -9,25 +9,23 @@ import numpy as np
 
 def sine(angle: jax.Array) -> jax.Array:
     """The sine to float32's precision, for angles of some thousand radians at most."""
-    return _quarter_wave(angle, 0.0)
+    return _quarter_wave(angle, 0)
 
 
 def cosine(angle: jax.Array) -> jax.Array:
     """The cosine; see `sine`."""
-    return _quarter_wave(angle, 1.0)
+    return _quarter_wave(angle, 1)
 
 
-def _quarter_wave(angle: jax.Array, ahead: float) -> jax.Array:
-    """The sine of an angle plus `ahead` quarters of a turn."""
-    quarters, odd, even = quarter_waves(angle)
-    quarters = quarters + np.float32(ahead)
-    halves = jnp.floor(quarters * np.float32(0.5))
-    is_even = quarters - 2 * halves > 0
-    wave = jnp.where(is_even, even, odd)
-    return jnp.where(halves - 2 * jnp.floor(halves * np.float32(0.5)) > 0, -wave, wave)
+def _quarter_wave(angle: jax.Array, ahead: int) -> jax.Array:
+    """The sine of an angle plus `ahead` quarters of a turn; an integer counts them, exactly."""
+    quarters, odd, even = _quarter_waves(angle)
+    place = quarters.astype(jnp.int32) + ahead
+    wave = jnp.where(place & 1 > 0, even, odd)
+    return jnp.where(place & 2 > 0, -wave, wave)
 
 
-def quarter_waves(angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _quarter_waves(angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The nearest whole quarters of a turn, and sine and cosine of the rest of an angle.
 
     The rest is at most an eighth of a turn, where short polynomials are exact enough (coefficients:

@@ -15,11 +15,12 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 
-from hitl_jax.walker import constants, gpu
+from hitl_jax.walker import constants
 from hitl_jax.walker.batching.compute_once import once
 from hitl_jax.walker.geometry import Pose, Speeds, Vec, cross, dot, pose, tangent
 from hitl_jax.walker.physics.contacts import Contacts
 from hitl_jax.walker.physics.manifolds import Manifold
+from hitl_jax.xla import gpu
 
 _MAX_CONDITION_NUMBER = 1000.0
 
@@ -222,7 +223,7 @@ def velocity_iteration(
     def one(speeds: Speeds, slot: tuple) -> tuple[Speeds, tuple[Pair, Pair]]:
         rows, *before = slot
         here = ContactConstraints(constraints.inverse_masses, *rows)
-        if gpu.uses_four_threads():  # A thread skips a slot in which it has no contact.
+        if gpu.on_gpu():  # A thread skips a slot in which it has no contact.
             there = (here.points[0].normal_mass > 0) | (here.points[1].normal_mass > 0)
             after = jax.lax.cond(
                 there.any(), _solve_slot_velocities, lambda _, *same: same, here, speeds, *before

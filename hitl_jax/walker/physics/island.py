@@ -5,23 +5,22 @@ contacts. Arrays have the batch as their last axis, [5, B] for bodies and so on.
 """
 
 import dataclasses
-import functools
 from collections.abc import Sequence
 from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from hitl_jax.walker import constants, gpu
+from hitl_jax.walker import constants
 from hitl_jax.walker.batching.masked_subset import apply_to_subset
 from hitl_jax.walker.geometry import Speeds, Vec, where
-from hitl_jax.walker.gpu.four_threads import solver as four_threads
-from hitl_jax.walker.gpu.kernel import as_kernel
+from hitl_jax.walker.gpu import leg_threads
 from hitl_jax.walker.physics import contact_solver, joints
 from hitl_jax.walker.physics.contact_solver import ContactConstraints, Pair
 from hitl_jax.walker.physics.contacts import Contacts
 from hitl_jax.walker.physics.joints import JointConstraints, JointImpulses
 from hitl_jax.walker.physics.manifolds import Manifold
+from hitl_jax.xla import gpu
 
 Tree = TypeVar("Tree")
 
@@ -92,8 +91,8 @@ def solve_velocities(
     rows = _rows(with_hull(velocity, legs.velocity), jnp.concatenate([speeds.spin[:1], legs.spin]))
     start_impulses = joints.starting_impulses(joint, impulses)
     rows = joints.warm_start(rows, joint, start_impulses)
-    if gpu.uses_four_threads():
-        return four_threads.velocities(
+    if gpu.on_gpu():
+        return leg_threads.velocities(
             _stacked(rows), start_impulses, (normal, friction), joint, constraints
         )
     rows_of_joints = [
@@ -104,15 +103,12 @@ def solve_velocities(
 
     touching = contacts.touching
     many = touching[_FEW_SLOTS:].any((0, 1)) | touching[:, ::2].any((0, 1))
-    if gpu.on_gpu():
-        motion = as_kernel(_iterate_by_need)(many, start, joint, constraints)
-    else:
-        motion = apply_to_subset(
-            many,
-            lambda _, context: _iterate_velocities(*context, _LEGS),
-            _iterate_few_contacts(start, joint, constraints),
-            (start, joint, constraints),
-        )
+    motion = apply_to_subset(
+        many,
+        lambda _, context: _iterate_velocities(*context, _LEGS),
+        _iterate_few_contacts(start, joint, constraints),
+        (start, joint, constraints),
+    )
     return _stacked(motion.rows), _stacked(motion.joint), (motion.normal, motion.friction)
 
 
@@ -141,21 +137,6 @@ def _iterate_few_contacts(
         jax.tree.map(placed, start.normal, after.normal),
         jax.tree.map(placed, start.friction, after.friction),
     )
-
-
-def _iterate_by_need(
-    many: jax.Array,
-    start: _Motion,
-    joint: JointConstraints,
-    constraints: ContactConstraints,
-) -> _Motion:
-    """All velocity iterations, for a kernel: each thread takes all contacts only if `many`."""
-    result: _Motion = jax.lax.cond(
-        many.any(),
-        lambda: _iterate_velocities(start, joint, constraints, _LEGS),
-        lambda: _iterate_few_contacts(start, joint, constraints),
-    )
-    return result
 
 
 def _iterate_velocities(
@@ -204,22 +185,18 @@ def solve_positions(
     Returns:
         Places and angles after the iterations.
     """
-    if gpu.uses_four_threads():
-        return four_threads.positions(place, angle, side, manifold, _BAUMGARTE, _LEAST_SEPARATION)
-    carry, context = (place, angle, jnp.ones(angle.shape[1:], bool)), (side, manifold)
     if gpu.on_gpu():
-        place, angle, _ = as_kernel(functools.partial(_iterate_positions, 0))(carry, context)
-        return place, angle
+        return leg_threads.positions(place, angle, side, manifold, _BAUMGARTE, _LEAST_SEPARATION)
+    carry, context = (place, angle, jnp.ones(angle.shape[1:], bool)), (side, manifold)
     carry = jax.lax.fori_loop(
         0, _ITERATIONS_FOR_ALL, lambda _, carry: _position_iteration(carry, *context), carry
     )
-    later = functools.partial(_iterate_positions, _ITERATIONS_FOR_ALL)
-    place, angle, _ = apply_to_subset(carry[2], later, carry, context)
+    place, angle, _ = apply_to_subset(carry[2], _later_positions, carry, context)
     return place, angle
 
 
-def _iterate_positions(made: int, carry: tuple, context: tuple) -> tuple:
-    """Position iterations after the first `made`, while a walker needs one and more are allowed."""
+def _later_positions(carry: tuple, context: tuple) -> tuple:
+    """The other position iterations, while a walker needs one and more are allowed."""
 
     def goes(counted: tuple) -> jax.Array:
         return counted[1][2].any() & (counted[0] < constants.POSITION_ITERATIONS)
@@ -227,7 +204,7 @@ def _iterate_positions(made: int, carry: tuple, context: tuple) -> tuple:
     def one(counted: tuple) -> tuple:
         return counted[0] + 1, _position_iteration(counted[1], *context)
 
-    result: tuple = jax.lax.while_loop(goes, one, (made, carry))[1]
+    result: tuple = jax.lax.while_loop(goes, one, (_ITERATIONS_FOR_ALL, carry))[1]
     return result
 
 

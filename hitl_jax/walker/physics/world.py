@@ -10,7 +10,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from hitl_jax.walker import constants, gpu
+from hitl_jax.walker import constants
 from hitl_jax.walker.batching.masked_subset import apply_to_subset
 from hitl_jax.walker.geometry import Pose, Speeds, Vec, dot, pose, tangent
 from hitl_jax.walker.gpu.kernel import as_kernel
@@ -70,8 +70,7 @@ def step(world: World, speed: jax.Array, torque: jax.Array, terrain: Terrain) ->
     bodies = pose(world.place, world.angle)
     legs = legs_of(bodies)
     near = ground.near_parts(terrain, legs_left(legs))
-    collide = as_kernel(_collide, _PARTS) if gpu.uses_four_threads() else _collide
-    manifold, contacts, ground_contact, rows = collide(
+    manifold, contacts, ground_contact, rows = as_kernel(_collide, _PARTS)(
         legs, near, world.contacts, world.ground_contact
     )
     fallen = world.fallen | _hull_touches(bodies, terrain, 2 * constants.POLYGON_RADIUS)

@@ -1,4 +1,4 @@
-"""The solver's iterations with one thread for each part of the legs; not run on a GPU yet.
+"""The solver's iterations for a GPU, with one thread for each part of the legs.
 
 With few walkers most of a GPU is idle, and a step takes as long as one thread takes for its
 instructions. Here four threads share the instructions of a walker. Each thread has the contacts of
