@@ -61,6 +61,7 @@ class Programs(NamedTuple):
             memory, any array of the device on which it shall happen) to what acting needs of all
             runs, one device after the other, leaves [A, ...].
         boundaries: acting to the carry of each run's boundary source, [A] or [A, K].
+        behavior_of: (rows [R, B], slot) to the row of the run in `slot`.
         unpack_train: (training states as words [R, P], slot) to that of the run in `slot`.
         diagnose: (learner, slots int32 [K]) to what `team.diagnostics` measures of the runs there,
             leaves [K].
@@ -79,6 +80,7 @@ class Programs(NamedTuple):
     put_behavior: Callable[..., PackedBehavior]
     unpack_behavior: Callable[..., Behavior]
     boundaries: Callable[[ActingBatch], chex.Array]
+    behavior_of: Callable[..., chex.Array]
     unpack_train: Callable[..., TrainState]
     diagnose: Callable[[LearnerBatch, chex.Array], Metrics]
     restore: Callable[..., LearnerBatch]
@@ -108,6 +110,7 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         put_behavior=jax.jit(_put_behavior, donate_argnums=0),
         unpack_behavior=jax.jit(functools.partial(unpack_behavior, agent), keep_unused=True),
         boundaries=jax.jit(functools.partial(_boundaries, agent)),
+        behavior_of=jax.jit(lambda rows, slot: rows[slot]),
         unpack_train=jax.jit(lambda words, slot: unpack(some_train(agent), words[slot])),
         diagnose=jax.jit(functools.partial(_diagnose, agent)),
         restore=jax.jit(_restore, donate_argnums=0),

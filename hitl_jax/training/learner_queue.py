@@ -170,6 +170,11 @@ class LearnerQueue:
         fetched: TrainState = jax.device_get(dataclasses.replace(train, key=None))
         return fetched
 
+    def behavior_of(self, slot: int) -> chex.Array:
+        """What acting needs of a run after the calls so far, a row for `behaviors`; not awaited."""
+        device, column = divmod(slot, self._share)
+        return self.programs.behavior_of(self._learned[-1][device].rows, np.int32(column))
+
     def behaviors(self, rows: np.ndarray) -> list[Behavior]:
         """What acting needs, as NumPy arrays, from packed rows [K, B]."""
         if not len(rows):

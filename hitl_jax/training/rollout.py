@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+import chex
 import numpy as np
 
 from hitl_jax.config import typed
@@ -24,7 +25,7 @@ from hitl_jax.learner.losses import Metrics
 from hitl_jax.results import recorded_episodes
 from hitl_jax.results.episode_measures import Row
 from hitl_jax.results.run_key import RunKey
-from hitl_jax.team.agent import Agent, behavior, require_extra
+from hitl_jax.team.agent import Agent, require_extra
 from hitl_jax.team.diagnostics import EVERY, on_host
 from hitl_jax.team.warmup import may_learn
 from hitl_jax.training import batch_arrays
@@ -107,6 +108,9 @@ class Rollout:
         self._held: set[RunKey] = set()
         self._ahead: _Chunk | None = None
         self._diagnosed: deque[tuple[list[tuple[Run, Row]], Metrics]] = deque()
+        # Snapshots that are due, with rows of parameters that the learner may still compute.
+        self._due: deque[tuple[Run, list[int], chex.Array, np.ndarray]] = deque()
+        self._num_due = np.zeros(slots, int)
         self._fill(self._learner.order())
 
     def __iter__(self) -> Iterator[list[FinishedRun]]:
@@ -141,6 +145,7 @@ class Rollout:
     def collect(self, run: Run) -> FinishedRun:
         """What a run has become so far; for a run that has a slot."""
         self._note_diagnostics(wait=True)
+        self._note_snapshots(wait=True)
         return FinishedRun(run, self._learner.train_of(run.slot), self._boundary_of(run))
 
     def diagnose(self, run: Run) -> Row:
@@ -161,6 +166,7 @@ class Rollout:
         """
         self._catch_up()
         self._note_diagnostics(wait=True)
+        self._note_snapshots(wait=True)
         train, learned = self._learner.save()
         acting = self._stage.words()
         recent = np.concatenate(self._recent, axis=1)
@@ -224,6 +230,7 @@ class Rollout:
                 del self._recent[0]  # The replay has forgotten it.
         for run in self.runs():
             self._keep_snapshots(run)
+        self._note_snapshots(wait=False)
         ended = [self.collect(run) for run in self._not_held(self.runs()) if run.done]
         self._learn(frames)
         return ended
@@ -304,12 +311,21 @@ class Rollout:
         require_shapes(saved, expected)
 
     def _keep_snapshots(self, run: Run) -> None:
-        """Keeps those whose episodes have ended in this chunk; there may be several."""
-        left = run.spec.snapshots[len(run.snapshots) :]
+        """Keeps those whose episodes have ended in this chunk, there may be several; see `_due`."""
+        left = run.spec.snapshots[len(run.snapshots) + self._num_due[run.slot] :]
         if left and (left[0] <= len(run.episodes) or run.diverged):
             due = [episode for episode in left if episode <= len(run.episodes) or run.diverged]
-            learned, boundary = behavior(self._learner.train_of(run.slot)), self._boundary_of(run)
+            row = self._learner.behavior_of(run.slot)
+            self._due.append((run, due, row, self._boundary_of(run)))
+            self._num_due[run.slot] += len(due)
+
+    def _note_snapshots(self, wait: bool) -> None:
+        """Keeps the snapshots whose parameters are there, or all, in their order."""
+        while self._due and (wait or self._due[0][2].is_ready()):
+            run, due, row, boundary = self._due.popleft()
+            [learned] = self._learner.behaviors(np.asarray(row)[None])
             run.snapshots += [Snapshot(episode, learned, boundary) for episode in due]
+            self._num_due[run.slot] -= len(due)
 
     def _boundary_of(self, run: Run) -> np.ndarray:
         return self._stage.boundaries()[run.slot]
