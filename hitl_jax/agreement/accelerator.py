@@ -26,20 +26,21 @@ _NOISE = 0.3
 _HELD = 8
 """Steps for which the noise stays as it is."""
 
-# Functions of their own: those of the CPU and of the accelerator are other programs.
-_begin = jax.jit(
-    lambda seeds, hardcore: jax.vmap(lambda seed: walker.new_walker(make_key(seed), hardcore))(
-        seeds
-    ),
-    static_argnums=1,
-)
-_step = jax.jit(jax.vmap(walker.step))
 _source = scripted_walker()
-_script = jax.jit(
-    lambda states, observations: jax.vmap(lambda *given: _source.act(*given, make_key(0)))(
-        states, observations
-    )
-)
+
+
+@functools.partial(jax.jit, static_argnums=1)
+def _begin(seeds: jax.Array, hardcore: bool) -> Walker:
+    return jax.vmap(lambda seed: walker.new_walker(make_key(seed), hardcore))(seeds)
+
+
+_step = jax.jit(jax.vmap(walker.step))
+
+
+@jax.jit
+def _script(states: Any, observations: jax.Array) -> tuple[Any, jax.Array]:
+    """The next actions of scripted walkers."""
+    return jax.vmap(lambda state, seen: _source.act(state, seen, make_key(0)))(states, observations)
 
 
 def _fresh(count: int) -> Any:

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import chex
 import jax
@@ -12,13 +13,20 @@ import numpy as np
 from hitl_jax.config import RunHyper
 from hitl_jax.envs import StepBatch
 from hitl_jax.envs.jax_pool import Block, JaxPool
+from hitl_jax.learner.replay import Replay
 from hitl_jax.team.agent import Agent
 from hitl_jax.training import batch_arrays, compiled_batch, device_ticks
-from hitl_jax.training.compiled_batch import Programs
+from hitl_jax.training.batch_arrays import PackedBehavior
 from hitl_jax.training.device_ticks import ChunkStart, begins_with
+from hitl_jax.training.learn_batch import learn_all
+from hitl_jax.training.learner_queue import LearnerQueue
 from hitl_jax.training.stage import Slots, Tick
 from hitl_jax.types import Behavior
 from hitl_jax.xla import full_registers
+from hitl_jax.xla.devices import learning_devices
+
+_Played = tuple[chex.ArrayTree, chex.ArrayTree, ChunkStart, tuple[chex.Array, ...]]
+"""What `device_ticks.play` gives."""
 
 
 @dataclasses.dataclass
@@ -40,38 +48,54 @@ class DeviceStage:
     there. The program ends episodes, begins the next ones and stops runs that are done or not
     finite, by the same rules as the host loop, which books the chunk afterwards. The next one is
     played while it does.
+
+    Where the same accelerator learns, a chunk and a call of the learner are one program: neither
+    needs what the other gives, and the GPU works on both at once. A chunk alone is a few thousand
+    small kernels, one after the other, which leave most of a GPU idle.
     """
 
     runs_ahead = True
 
-    def __init__(self, agent: Agent, pool: JaxPool, programs: Programs):
+    def __init__(self, agent: Agent, pool: JaxPool, learner: LearnerQueue):
         """Places acting beside the walkers; without runs yet."""
         self._pool = pool
-        self._programs = programs
+        self._learner = learner
+        self._programs = learner.programs
+        learner.defers = [block.device for block in pool.blocks] == list(learning_devices())
         self._acting = [
             batch_arrays.empty_acting(agent, pool.lanes, block.device) for block in pool.blocks
         ]
-        self._behavior: list[Behavior] = []
+        self._behavior: list[tuple[Behavior, list[jax.Array]]] = []
         self._starts: list[ChunkStart] = []
         self._unbooked = 0
         self._boundaries: np.ndarray | None = None
         self._play = jax.jit(
             functools.partial(_play, agent), static_argnums=0, donate_argnums=(1, 3)
         )
+        self._play_and_learn = jax.jit(
+            functools.partial(_play_and_learn, agent, learner.num_updates, learner.tile),
+            static_argnums=0,
+            donate_argnums=(1, 3, 5),
+        )
 
-    def prepare(self, packed: list[jax.Array]) -> None:
+    def prepare(self, parameters: list[PackedBehavior]) -> None:
         """See `Stage`."""
+        lanes = self._pool.lanes
+        rows, finite = zip(*parameters, strict=True)
         # Not in the program of the ticks: its rounding would tell how many runs there are.
         self._behavior = [
-            self._programs.unpack_behavior(_rows_of(packed, block, self._pool.lanes))
+            (
+                self._programs.unpack_behavior(_rows_of(rows, block, lanes)),
+                _rows_of(finite, block, lanes),
+            )
             for block in self._pool.blocks
         ]
 
-    def ticks(self, slots: Slots, finite: np.ndarray, count: int) -> Iterator[Tick]:
+    def ticks(self, slots: Slots, count: int) -> Iterator[Tick]:
         """See `Stage`."""
         if self._unbooked > 1:
             raise RuntimeError("no chunk can be begun while two are not booked")
-        given = *begins_with(slots), finite
+        given = begins_with(slots)
         parts, boundaries, starts = [], [], []
         for index, block in enumerate(self._pool.blocks):
             own = slice(block.start, block.stop)
@@ -80,14 +104,16 @@ class DeviceStage:
             )
             begin, *others = jax.device_put(rows, block.device)
             acting, walkers = self._acting[index], self._pool.walkers[index]
-            state, self._pool.walkers[index], start, ticks = self._play(
+            state, self._pool.walkers[index], start, ticks = self._played(
                 count,
                 acting.state,
                 acting.hyper,
                 walkers,
-                self._behavior[index],
-                self._starts[index] if self._unbooked else begin,
-                *others,
+                (
+                    *self._behavior[index],
+                    self._starts[index] if self._unbooked else begin,
+                    *others,
+                ),
             )
             self._acting[index] = acting._replace(state=state)
             parts.append(ticks)
@@ -96,6 +122,17 @@ class DeviceStage:
         self._starts = starts
         self._unbooked += 1
         return self._told(parts, boundaries)
+
+    def _played(self, *given: Any) -> _Played:
+        """A chunk of a block; the learner's call, if one waits, is made beside it."""
+        call = self._learner.take()
+        if call is None:
+            return self._play(*given)
+        batch, *rest = call
+        before = batch.train, batch.memory
+        played, (train, memory), learned = self._play_and_learn(*given, before, batch.hyper, *rest)
+        self._learner.give(batch._replace(train=train, memory=memory), learned)
+        return played
 
     def _told(
         self, parts: list[tuple[chex.Array, ...]], boundaries: list[chex.Array]
@@ -173,12 +210,8 @@ def _play(
     state: chex.Array,
     hyper: chex.Array,
     walkers: chex.ArrayTree,
-    behavior: Behavior,
-    begin: ChunkStart,
-    seeds: chex.Array,
-    first_left: chex.Array,
-    finite: chex.Array,
-) -> tuple[chex.ArrayTree, chex.ArrayTree, ChunkStart, tuple[chex.Array, ...]]:
+    rest: tuple[Behavior, Sequence[chex.Array], ChunkStart, chex.Array, chex.Array],
+) -> _Played:
     """A chunk of ticks of runs on L lanes; see `device_ticks.play`.
 
     Args:
@@ -187,12 +220,11 @@ def _play(
         state: acting states as words, [L, S].
         hyper: hyperparameters as words, [L, H].
         walkers: leaves [L, ...].
-        behavior: what acting needs of the parameters, leaves [L, ...].
-        begin: what it begins with.
-        seeds: of resets to come, uint32 [L, K].
-        first_left: episodes left when the first of these is due, int32 [L].
-        finite: whether a run's parameters are, bool [L].
+        rest: what acting needs of the parameters, leaves [L, ...]; whether a run's parameters are
+            finite, bool [..], in parts; what the chunk begins with; seeds of resets to come, uint32
+            [L, K]; episodes left when the first of these is due, int32 [L].
     """
+    behavior, finite, begin, seeds, first_left = rest
     runs = jax.vmap(functools.partial(compiled_batch.act_packed, agent))
 
     def act(
@@ -201,5 +233,24 @@ def _play(
         after, decided = runs(state, hyper, behavior, observation, live)
         return after, decided
 
-    begin = begin._replace(active=begin.active & finite)
+    of_all = jnp.concatenate(finite)
+    of_all = jnp.pad(of_all, (0, len(begin.active) - len(of_all)))
+    begin = begin._replace(active=begin.active & of_all)
     return device_ticks.play(act, agent.layout, count, state, walkers, begin, seeds, first_left)
+
+
+def _play_and_learn(
+    agent: Agent,
+    num_updates: int,
+    tile: int,
+    count: int,
+    state: chex.Array,
+    hyper: chex.Array,
+    walkers: chex.ArrayTree,
+    rest: Any,
+    before: tuple[chex.Array, Replay],
+    *learns: chex.Array,
+) -> tuple[_Played, tuple[chex.Array, Replay], PackedBehavior]:
+    """What `_play` and `learn_batch.learn_all` give."""
+    played = _play(agent, count, state, hyper, walkers, rest)
+    return played, *learn_all(agent, num_updates, tile, before, *learns)

@@ -11,7 +11,8 @@ from hitl_jax.config import RunHyper
 from hitl_jax.envs import Command, StepBatch, WalkerPool
 from hitl_jax.team.agent import Agent
 from hitl_jax.training import batch_arrays
-from hitl_jax.training.compiled_batch import Programs
+from hitl_jax.training.batch_arrays import PackedBehavior
+from hitl_jax.training.learner_queue import LearnerQueue
 from hitl_jax.training.stage import Slots, Tick
 from hitl_jax.xla import full_registers
 from hitl_jax.xla.devices import acting_device
@@ -36,24 +37,23 @@ class HostStage:
 
     runs_ahead = False
 
-    def __init__(self, agent: Agent, pool: WalkerPool, programs: Programs):
+    def __init__(self, agent: Agent, pool: WalkerPool, learner: LearnerQueue):
         """Places acting on its device; without runs yet."""
         self._pool = pool
-        self._programs = programs
+        self._programs = learner.programs
         self._action = agent.layout.action
         self._device = acting_device()
         self._acting = batch_arrays.empty_acting(agent, pool.num_walkers, self._device)
         self._rows = len(self._acting.state)
 
-    def prepare(self, packed: list[jax.Array]) -> None:
+    def prepare(self, parameters: list[PackedBehavior]) -> None:
         """See `Stage`."""
         # As the host sees them, without a copy: `jax.device_put` would take as long as unpacking.
-        rows = [np.asarray(part) for part in packed]
+        rows = [np.asarray(part.rows) for part in parameters]
         self._behavior = self._programs.unpack_behavior(rows, self._acting.hyper)
 
-    def ticks(self, slots: Slots, finite: np.ndarray, count: int) -> Iterator[Tick]:
+    def ticks(self, slots: Slots, count: int) -> Iterator[Tick]:
         """See `Stage`."""
-        del finite  # What the host has ended is not live.
         for _ in range(count):
             seen, live = (
                 full_registers.filled(rows, self._rows) for rows in (slots.observation, slots.live)

@@ -57,11 +57,11 @@ class _Chunk(NamedTuple):
     """Ticks that are played, or will be as they are asked for.
 
     Attributes:
-        finite: whether the parameters are that act in it, bool [R].
+        parameters: what acts in it, of each learning device's runs.
         ticks: one after the other.
     """
 
-    finite: np.ndarray
+    parameters: list[batch_arrays.PackedBehavior]
     ticks: Iterator[Tick]
 
 
@@ -98,7 +98,7 @@ class Rollout:
         self._saved = {} if saved is None else saved
         longest = max((len(run.frames) for run in self._saved.values()), default=0)
         self._learner = LearnerQueue(agent, config, slots, longest)
-        self._stage = make_stage(agent, pool, self._learner.programs)
+        self._stage = make_stage(agent, pool, self._learner)
         self._acting_shape = self._stage.words().shape[1:]
         self._saves = saved is not None
         self._recorder = TickRecorder(agent.config, agent.layout, pool, config)
@@ -215,20 +215,21 @@ class Rollout:
             self._book(chunk)
 
     def _begin_chunk(self) -> _Chunk:
-        packed, finite = self._learner.parameters()
-        self._stage.prepare(packed)
-        return _Chunk(finite, self._stage.ticks(self._recorder.slots, finite, self._config.chunk))
+        parameters = self._learner.parameters()
+        self._stage.prepare(parameters)
+        return _Chunk(parameters, self._stage.ticks(self._recorder.slots, self._config.chunk))
 
     def _book(self, chunk: _Chunk) -> list[FinishedRun]:
         """Notes what the walkers did, and has the learner learn from it."""
-        self._recorder.stop_diverged("parameters", chunk.finite)
+        finite = np.concatenate([np.asarray(part.finite) for part in chunk.parameters])
+        self._recorder.stop_diverged("parameters", finite)
         frames = self._recorder.book(chunk.ticks)
         self._unsaved += self._config.chunk
         if self._saves:
             self._recent.append(frames)
             if len(self._recent) > self._config.frames // self._config.chunk:
                 del self._recent[0]  # The replay has forgotten it.
-        for run in self.runs():
+        for run in self._recorder.take_ended():
             self._keep_snapshots(run)
         self._note_snapshots(wait=False)
         ended = [self.collect(run) for run in self._not_held(self.runs()) if run.done]
@@ -336,7 +337,7 @@ class Rollout:
         learning = {
             run.slot: run
             for run in self.runs()
-            if not run.done and may_learn(run.spec.hyper, run.ticks, chunk, n_step)
+            if not run.done and (run.updates or may_learn(run.spec.hyper, run.ticks, chunk, n_step))
         }
         for run in learning.values():
             run.updates += self._learner.num_updates

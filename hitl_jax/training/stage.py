@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from typing import Protocol
 
 import chex
-import jax
 import numpy as np
 
 from hitl_jax.config import RunHyper
 from hitl_jax.envs import StepBatch
+from hitl_jax.training.batch_arrays import PackedBehavior
 
 
 @dataclasses.dataclass
@@ -63,15 +63,16 @@ class Stage(Protocol):
 
     runs_ahead: bool
 
-    def prepare(self, packed: list[jax.Array]) -> None:
+    def prepare(self, parameters: list[PackedBehavior]) -> None:
         """Takes parameters for the next chunk.
 
         Args:
-            packed: of each learning device, [R / D, B].
+            parameters: of each learning device. Runs whose parameters are not finite end before it;
+                the host ends them before it books.
         """
         ...
 
-    def ticks(self, slots: Slots, finite: np.ndarray, count: int) -> Iterator[Tick]:
+    def ticks(self, slots: Slots, count: int) -> Iterator[Tick]:
         """Plays ticks; the host books one before it asks for the next.
 
         Where the stage `runs_ahead` it begins at once, also if the ticks given before are not
@@ -79,8 +80,6 @@ class Stage(Protocol):
 
         Args:
             slots: as they are before each tick; the host changes them as it books.
-            finite: whether a run's parameters are, bool [R]; others end here, and the host ends
-                them before it books.
             count: how many.
         """
         ...

@@ -59,6 +59,7 @@ class TickRecorder:
         self._log = EpisodeLog(num_slots, self.logged.step_width)
         self._intervened = np.zeros(num_slots, bool)  # In the episode under way, before this chunk.
         self._feedback = np.zeros(num_slots)
+        self._ended: dict[int, Run] = {}
 
     def begin(self, run: Run) -> None:
         """Gives a run's slot to the run, at its beginning."""
@@ -88,6 +89,11 @@ class TickRecorder:
     def runs(self) -> list[Run]:
         """The runs that have a slot."""
         return [run for run in self._runs if run is not None]
+
+    def take_ended(self) -> list[Run]:
+        """The runs of which an episode has ended, or that have diverged, since this was asked."""
+        ended, self._ended = [*self._ended.values()], {}
+        return ended
 
     def has_slot(self, run: Run) -> bool:
         """Whether a run still has its slot."""
@@ -135,6 +141,7 @@ class TickRecorder:
         for slot in np.flatnonzero(self.slots.active & ~finite).tolist():
             run = self._run(slot)
             steps = run.env_steps + self._log.length_of(slot)
+            self._ended[slot] = run
             run.diverged = Divergence(quantity, steps, len(run.episodes))
             run.done = True
             self.slots.active[slot] = False
@@ -146,6 +153,7 @@ class TickRecorder:
 
     def _end_episode(self, slot: int) -> None:
         run = self._run(slot)
+        self._ended[slot] = run
         steps, hyper = self._log.of(slot), run.spec.hyper
         row = row_of(episode_of(steps, self.logged, self._config, hyper), self._ends)
         run.env_steps += len(steps)

@@ -11,9 +11,10 @@ from device_toy import CONFIG, HYPER, LOOP
 from hitl_jax.config import Method, hyper_for
 from hitl_jax.envs import jax_pool
 from hitl_jax.team.agent import make_agent
-from hitl_jax.training import device_stage, host_stage, rollout
+from hitl_jax.training import device_stage, host_stage, learner_queue, rollout
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import RunSpec
+from hitl_jax.xla import devices
 
 
 def _specs(episodes=24, seeds=2):
@@ -142,14 +143,33 @@ def test_a_chunk_that_is_begun_ahead_plays_the_same(together, monkeypatch):
         _assert_same(run, finished[key])
 
 
+def test_learning_beside_a_chunk_changes_nothing(together, monkeypatch):
+    """As an accelerator does, where the learner's device and the walkers' are one."""
+    one = [devices.cpu_device("one")]
+    for module in (device_stage, learner_queue):
+        monkeypatch.setattr(module, "learning_devices", lambda: one)
+    monkeypatch.setattr(jax_pool, "walker_devices", lambda count: one)
+    beside, alone = [], []
+    play, play_and_learn = device_stage._play, device_stage._play_and_learn
+    monkeypatch.setattr(device_stage, "_play", lambda *given: alone.append(given) or play(*given))
+    monkeypatch.setattr(
+        device_stage,
+        "_play_and_learn",
+        lambda *given: beside.append(given) or play_and_learn(*given),
+    )
+    finished, playing = _play(_specs(), 4)
+    assert playing._learner.defers and beside
+    for key, run in together.items():
+        _assert_same(run, finished[key])
+
+
 def test_no_more_than_one_chunk_is_begun_ahead():
     with device_toy.toys():
         playing = Rollout(make_agent(CONFIG), _specs(), jax_pool.JaxPool(4, 2), LOOP)
         next(iter(playing))
-        finite = np.ones(4, bool)
-        playing._stage.ticks(playing._recorder.slots, finite, 8)
+        playing._stage.ticks(playing._recorder.slots, 8)
         with pytest.raises(RuntimeError, match="two are not booked"):
-            playing._stage.ticks(playing._recorder.slots, finite, 8)
+            playing._stage.ticks(playing._recorder.slots, 8)
 
 
 def test_a_reward_that_is_no_number_ends_its_run_alone(monkeypatch):
