@@ -88,13 +88,12 @@ def _programs(device):
         observation=of((_LANES, agent.layout.observation_size)),
     )
     chunk = jax.jit(functools.partial(device_stage._play, agent, _TICKS))
-    rest = of((_LANES, _TICKS + 1), jnp.uint32), begin.left, begin.active
+    finite = [of((_RUNS,), jnp.bool_)]
+    rest = behavior, finite, begin, of((_LANES, _TICKS + 1), jnp.uint32), begin.left
     return {
         "a tick": compiled(jax_pool.tick, walkers(hardcore=False), *step),
         "a tick on hardcore terrain": compiled(jax_pool.tick, walkers(hardcore=True), *step),
-        "a chunk": compiled(
-            chunk, like(acting.state), like(acting.hyper), walkers(False), behavior, begin, *rest
-        ),
+        "a chunk": compiled(chunk, like(acting.state), like(acting.hyper), walkers(False), rest),
     }
 
 

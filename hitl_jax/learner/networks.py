@@ -6,7 +6,6 @@ layer and the output layer stay float32.
 """
 
 import functools
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,8 +14,6 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
-from hitl_jax.learner import fused_layers
-from hitl_jax.xla import gpu
 from hitl_jax.xla.dense_product import product
 
 # Uniform in ±1/sqrt(fan_in), the initialisation with which the public records of this task were
@@ -47,35 +44,6 @@ def _precisions(hidden_sizes: Sequence[int], matmul_precision: str) -> list[str]
     return [matmul_precision if index else "float32" for index in range(len(hidden_sizes))]
 
 
-def _fuses(x: chex.Array, sizes: Sequence[int], matmul_precision: str) -> bool:
-    """Whether a minibatch goes through all layers in one kernel: on a GPU, if they fit."""
-    return (
-        gpu.on_gpu()
-        and x.ndim == 2
-        and matmul_precision == "float32"
-        and fused_layers.fits(len(x), [x.shape[1], *sizes])
-    )
-
-
-class _Weights(nn.Module):
-    """The weights and bias of a layer that another module has made.
-
-    Attributes:
-        kernel_shape: of the weights.
-        bias_shape: of the bias.
-    """
-
-    kernel_shape: tuple[int, ...]
-    bias_shape: tuple[int, ...]
-
-    @nn.compact
-    def __call__(self) -> fused_layers.Layer:
-        """They must be there."""
-        zeros = nn.initializers.zeros
-        kernel = self.param("kernel", zeros, self.kernel_shape, jnp.float32)
-        return fused_layers.Layer(kernel, self.param("bias", zeros, self.bias_shape, jnp.float32))
-
-
 class Actor(nn.Module):
     """μ(s): a deterministic policy with actions in [-1, 1].
 
@@ -94,13 +62,6 @@ class Actor(nn.Module):
     def __call__(self, observation: chex.Array) -> chex.Array:
         """Maps observations [..., O] to actions [..., A]."""
         x = observation
-        sizes = [*self.hidden_sizes, self.action_size]
-        if not self.is_initializing() and _fuses(x, sizes, self.matmul_precision):
-            layers = [
-                _Weights((inputs, size), (size,), name=f"Dense_{index}")()
-                for index, (inputs, size) in enumerate(itertools.pairwise([x.shape[-1], *sizes]))
-            ]
-            return jnp.tanh(fused_layers.dense_layers(x, layers, False))
         precisions = _precisions(self.hidden_sizes, self.matmul_precision)
         for size, precision in zip(self.hidden_sizes, precisions, strict=True):
             x = nn.relu(_dense(size, precision)(x))
@@ -185,10 +146,6 @@ class Critics(nn.Module):
         """Maps observations [B, O] and actions [B, A] to values [E, B] or quantiles [E, B, Q]."""
         chex.assert_rank([observation, action], 2)
         x = jnp.concatenate([observation, action], axis=-1)
-        sizes = [*self.hidden_sizes, self.num_quantiles or 1]
-        if not self.is_initializing() and _fuses(x, sizes, self.matmul_precision):
-            answer = self._fused(x, sizes)
-            return answer[..., 0] if self.num_quantiles is None else answer
         precisions = _precisions(self.hidden_sizes, self.matmul_precision)
         for size, precision in zip(self.hidden_sizes, precisions, strict=True):
             x = _StackedDense(self.num_critics, size, precision)(x)
@@ -199,19 +156,6 @@ class Critics(nn.Module):
         if self.num_quantiles is None:
             return _StackedDense(self.num_critics, 1)(x)[..., 0]
         return _StackedDense(self.num_critics, self.num_quantiles)(x)
-
-    def _fused(self, x: chex.Array, sizes: Sequence[int]) -> chex.Array:
-        """The answers to inputs [B, I], [E, B, F], by one kernel."""
-        members = self.num_critics
-        stacked = [
-            _Weights((members, inputs, size), (members, 1, size), name=f"_StackedDense_{index}")()
-            for index, (inputs, size) in enumerate(itertools.pairwise([x.shape[-1], *sizes]))
-        ]
-        layers = [layer._replace(bias=layer.bias[:, 0]) for layer in stacked]
-        answer: chex.Array = jax.vmap(
-            lambda own: fused_layers.dense_layers(x, own, self.layer_norm)
-        )(layers)
-        return answer
 
 
 class BoundaryActor(nn.Module):

@@ -36,7 +36,7 @@ from hitl_jax.training.batch_arrays import (
     unpack_behavior,
 )
 from hitl_jax.training.learn_batch import learn_all
-from hitl_jax.types import Behavior, TrainState
+from hitl_jax.types import Behavior
 from hitl_jax.xla.pytree_words import pack, unpack
 
 
@@ -61,8 +61,7 @@ class Programs(NamedTuple):
             memory, any array of the device on which it shall happen) to what acting needs of all
             runs, one device after the other, leaves [A, ...].
         boundaries: acting to the carry of each run's boundary source, [A] or [A, K].
-        behavior_of: (rows [R, B], slot) to the row of the run in `slot`.
-        unpack_train: (training states as words [R, P], slot) to that of the run in `slot`.
+        row_of: (rows [R, ...], slot) to the row of the run in `slot`.
         diagnose: (learner, slots int32 [K]) to what `team.diagnostics` measures of the runs there,
             leaves [K].
         restore: (learner, slot, training state as words [P], the run's column of the ring [T, W],
@@ -80,8 +79,7 @@ class Programs(NamedTuple):
     put_behavior: Callable[..., PackedBehavior]
     unpack_behavior: Callable[..., Behavior]
     boundaries: Callable[[ActingBatch], chex.Array]
-    behavior_of: Callable[..., chex.Array]
-    unpack_train: Callable[..., TrainState]
+    row_of: Callable[..., chex.Array]
     diagnose: Callable[[LearnerBatch, chex.Array], Metrics]
     restore: Callable[..., LearnerBatch]
     restore_acting: Callable[..., ActingBatch]
@@ -110,8 +108,7 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         put_behavior=jax.jit(_put_behavior, donate_argnums=0),
         unpack_behavior=jax.jit(functools.partial(unpack_behavior, agent), keep_unused=True),
         boundaries=jax.jit(functools.partial(_boundaries, agent)),
-        behavior_of=jax.jit(lambda rows, slot: rows[slot]),
-        unpack_train=jax.jit(lambda words, slot: unpack(some_train(agent), words[slot])),
+        row_of=jax.jit(lambda rows, slot: rows[slot]),
         diagnose=jax.jit(functools.partial(_diagnose, agent)),
         restore=jax.jit(_restore, donate_argnums=0),
         restore_acting=jax.jit(_restore_acting, donate_argnums=0),

@@ -1,7 +1,6 @@
 """The host loop's learner: all runs on the learning devices, and calls not yet finished."""
 
 import dataclasses
-import operator
 from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -12,12 +11,14 @@ import numpy as np
 
 from hitl_jax.config import RunHyper
 from hitl_jax.learner.losses import Metrics
+from hitl_jax.team import agent as agents
 from hitl_jax.team.agent import Agent
 from hitl_jax.training import batch_arrays, compiled_batch
 from hitl_jax.training.batch_arrays import LearnerBatch, PackedBehavior
 from hitl_jax.training.run_spec import LoopConfig
 from hitl_jax.types import Behavior, TrainState
 from hitl_jax.xla.devices import default_tile, learning_devices
+from hitl_jax.xla.pytree_words import unpack_on_host, word_places
 
 LAG = 2
 """Calls of the learner that may be under way while the walkers play; see `rollout`."""
@@ -67,6 +68,8 @@ class LearnerQueue:
         self.programs = compiled_batch.make_programs(agent, self.num_updates, self.tile)
         self._deferred: LearnerCall | None = None
         self._layout, self._frames = agent.layout, config.frames
+        self._train = batch_arrays.some_train(agent)
+        self._places = word_places(self._train)
         self._share = slots // len(devices)
         empty = [
             batch_arrays.empty_learner(agent, self._share, config.frames, each) for each in devices
@@ -212,19 +215,27 @@ class LearnerQueue:
         """A run's training state as NumPy arrays, without its key."""
         self._start_deferred()
         device, column = divmod(slot, self._share)
-        train = self.programs.unpack_train(self._batches[device].train, column)
-        fetched: TrainState = jax.device_get(dataclasses.replace(train, key=None))
-        return fetched
+        words = self.programs.row_of(self._batches[device].train, np.int32(column))
+        train: TrainState = unpack_on_host(self._train, self._places, np.asarray(words))
+        return dataclasses.replace(train, key=None)
 
     def behavior_of(self, slot: int) -> chex.Array:
         """What acting needs of a run after the calls so far, a row for `behaviors`; not awaited."""
         self._start_deferred()
         device, column = divmod(slot, self._share)
-        return self.programs.behavior_of(self._learned[-1][device].rows, np.int32(column))
+        return self.programs.row_of(self._learned[-1][device].rows, np.int32(column))
 
     def behaviors(self, rows: np.ndarray) -> list[Behavior]:
         """What acting needs, as NumPy arrays, from packed rows [K, B]."""
-        if not len(rows):
-            return []
-        several = jax.device_get(self.programs.unpack_behavior([rows]))
-        return [jax.tree.map(operator.itemgetter(k), several) for k in range(len(rows))]
+        leaves, structure = jax.tree.flatten(agents.behavior(self._train))
+        ends = np.cumsum([leaf.size for leaf in leaves])
+        return [
+            jax.tree.unflatten(
+                structure,
+                [
+                    part.reshape(leaf.shape)
+                    for part, leaf in zip(np.split(row, ends[:-1]), leaves, strict=True)
+                ],
+            )
+            for row in rows
+        ]

@@ -4,7 +4,6 @@ Each CPU device here is an XLA client of its own, with one thread; see `cpu_devi
 """
 
 import functools
-import math
 import os
 import sys
 import warnings
@@ -14,8 +13,6 @@ import jax
 
 from hitl_jax.xla.cores import num_cores
 
-MOST_AT_ONCE = 1024
-"""Runs that an accelerator learns at once."""
 _ACTING = "acting"
 _LEARNER_NICE = 10
 
@@ -52,16 +49,12 @@ def default_tile(slots: int) -> int:
     """The default number of runs that one device learns at once.
 
     One on a CPU: XLA's sums are faster without an axis of runs, and one run's parameters, targets
-    and moments (about a megabyte) fit into the core's cache. An accelerator takes as many as keep
-    what a layer gives to the next in its cache, in tiles of equal size.
+    and moments (about a megabyte) fit into the core's cache. All its runs on an accelerator.
 
     Args:
         slots: number of runs of all devices together.
     """
-    if jax.default_backend() == "cpu":
-        return 1
-    share = slots // len(learning_devices())
-    return math.ceil(share / math.ceil(share / MOST_AT_ONCE))
+    return 1 if jax.default_backend() == "cpu" else slots // len(learning_devices())
 
 
 def acting_device() -> jax.Device:

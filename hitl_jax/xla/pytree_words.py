@@ -88,6 +88,45 @@ def from_pieces(like: chex.ArrayTree, pieces: Sequence[chex.Array]) -> chex.Arra
     )
 
 
+def word_places(like: chex.ArrayTree) -> list[slice]:
+    """Where `pack` puts the words of each leaf of a tree like this, in the tree's order."""
+    words = [jax.eval_shape(_to_words, leaf).size for leaf in jax.tree.leaves(like)]
+    packed = sorted(range(len(words)), key=lambda index: words[index] >= _LARGE)
+    places, begin = [slice(0)] * len(words), 0
+    for index in packed:
+        places[index] = slice(begin, begin + words[index])
+        begin += words[index]
+    return places
+
+
+def unpack_on_host(
+    like: chex.ArrayTree, places: Sequence[slice], words: np.ndarray
+) -> chex.ArrayTree:
+    """`unpack` in NumPy, which waits for no device.
+
+    Args:
+        like: as `unpack` has it.
+        places: its `word_places`.
+        words: from `pack`, uint32 [P].
+
+    Returns:
+        The packed tree; of keys their words.
+    """
+    leaves, structure = jax.tree.flatten(like)
+    return jax.tree.unflatten(
+        structure,
+        [_from_host_words(leaf, words[own]) for leaf, own in zip(leaves, places, strict=True)],
+    )
+
+
+def _from_host_words(like: chex.Array, words: np.ndarray) -> np.ndarray:
+    if jnp.issubdtype(like.dtype, jax.dtypes.prng_key):
+        return words.copy()
+    if like.dtype == bool:
+        return (words > 0).reshape(like.shape)
+    return words.astype(_bits_of(like)).view(like.dtype).reshape(like.shape)
+
+
 def _split(words: chex.Array, sizes: Sequence[int]) -> list[chex.Array]:
     """Words cut into consecutive parts of given sizes."""
     chex.assert_shape(words, (sum(sizes),))

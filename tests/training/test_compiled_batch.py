@@ -12,6 +12,7 @@ from hitl_jax.training import batch_arrays, compiled_batch, learn_batch
 from hitl_jax.xla import pytree_words
 from hitl_jax.xla.dense_product import MATMUL_PRECISIONS
 from hitl_jax.xla.devices import cpu_device
+from hitl_jax.xla.pytree_words import unpack
 from hitl_jax.xla.threefry import make_key
 
 pytestmark = pytest.mark.usefixtures("compiled_fully")
@@ -60,7 +61,8 @@ def _learn(runs, tile, skip=(), device=0, agent=_AGENT):
     slots[: len(listed)] = listed
     for call in range(2):
         seats, _ = programs.learn(seats, _frames(runs, call), slots, np.int32(len(listed)))
-    after = {run: programs.unpack_train(seats.train, slot) for slot, run in enumerate(runs)}
+    like = batch_arrays.some_train(agent)
+    after = {run: unpack(like, seats.train[slot]) for slot, run in enumerate(runs)}
     return {run: jax.device_get((train.learner, train.boundary)) for run, train in after.items()}
 
 

@@ -131,9 +131,9 @@ def test_no_program_with_a_walker_has_wide_numbers(wide):
     )
     left, yes = np.ones(16, np.int32), np.ones(16, bool)
     begin = ChunkStart(yes, yes, left, np.zeros((16, 24), np.float32))
-    others = begin, np.zeros((16, 5), np.uint32), left, yes
+    rest = params, [yes], begin, np.zeros((16, 5), np.uint32), left
     play = functools.partial(device_stage._play, agent, 4)
-    assert _wide_floats(play, some.state, some.hyper, walkers, params, *others) == []
+    assert _wide_floats(play, some.state, some.hyper, walkers, rest) == []
 
 
 def _played():

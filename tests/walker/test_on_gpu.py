@@ -7,9 +7,11 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from hitl_jax.agreement.accelerator import CLOSE_BAR, STEPS
+from hitl_jax.results.folder import ResultsFolder
 
 _OF_TESTS = ("JAX_PLATFORMS", "JAX_DISABLE_MOST_OPTIMIZATIONS", "JAX_NUM_CPU_DEVICES")
 _MEASURE = "; ".join(
@@ -57,9 +59,14 @@ def test_walkers_move_as_on_the_cpu(hardcore):
     assert several[1]["median error"] < 1e-2
 
 
-def test_episodes_of_a_sweep_can_be_played_again(tmp_path):
-    out = str(tmp_path / "sweep")
+def test_a_small_sweep_plays_learns_and_tests(tmp_path):
     scale = "--seeds", "2", "--episodes", "6", "--test-episodes", "2"
     learns = "--warmup-steps", "200"
-    _python("-m", "hitl_jax", "sweep", "--backend", "jax", "--out", out, *scale, *learns)
-    _python("-m", "hitl_jax", "verify", out)
+    out = tmp_path / "sweep"
+    _python("-m", "hitl_jax", "sweep", "--backend", "jax", "--out", str(out), *scale, *learns)
+    runs = ResultsFolder(out).load_all()
+    assert len(runs) == 6
+    for run in runs:
+        assert run.info["updates"] > 0 and run.info["diverged"] is None
+        assert len(run.episodes["return"]) == 6
+        assert np.isfinite(run.tests["return"]).all()

@@ -30,12 +30,11 @@ def test_learning_threads_have_lower_priority():
     assert [int(nice) for nice in answer.stdout.split()] == [usual, usual, min(usual + 10, 19)]
 
 
-def test_an_accelerator_learns_many_runs_at_once_and_a_cpu_one(monkeypatch):
+def test_an_accelerator_learns_all_its_runs_at_once_and_a_cpu_one(monkeypatch):
     monkeypatch.setattr(devices, "learning_devices", lambda: ("one", "another"))
     assert devices.default_tile(32) == devices.default_tile(64) == 1
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert devices.default_tile(32) == 16
-    assert devices.default_tile(1002 * 2) == 251  # Four tiles, of equal size.
 
 
 @pytest.mark.parametrize("change", ["gone", "other arguments"])

@@ -6,10 +6,19 @@ import numpy as np
 import pytest
 
 from hitl_jax.config import AgentConfig, RunHyper, typed
+from hitl_jax.team import agent as agents
 from hitl_jax.team.acting import init_acting
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training import batch_arrays, compiled_batch
-from hitl_jax.xla.pytree_words import from_pieces, pack, piece_sizes, to_pieces, unpack
+from hitl_jax.xla.pytree_words import (
+    from_pieces,
+    pack,
+    piece_sizes,
+    to_pieces,
+    unpack,
+    unpack_on_host,
+    word_places,
+)
 from hitl_jax.xla.threefry import make_key
 
 
@@ -59,6 +68,24 @@ def test_small_leaves_come_before_large_ones():
     tree = [jnp.arange(8192), jnp.arange(2), jnp.arange(9000), jnp.arange(8191)]
     order = [tree[1], tree[3], tree[0], tree[2]]
     np.testing.assert_array_equal(pack(tree), np.concatenate(order))
+
+
+def test_the_host_unpacks_the_same():
+    config = AgentConfig(indicator="fall_risk", boundary_source="pid")
+    train = agents.init(make_agent(config), make_key(0))
+    acting = init_acting(make_agent(config), typed(RunHyper()), make_key(3))
+    for tree in (
+        train,
+        jax.tree.map(jnp.asarray, acting),
+        {"byte": jnp.arange(3, dtype=jnp.uint8)},
+    ):
+        words = np.asarray(pack(tree))
+        back = unpack_on_host(tree, word_places(tree), words)
+        given, found = jax.tree.leaves(tree), jax.tree.leaves(back)
+        assert all(isinstance(leaf, np.ndarray) for leaf in found)
+        keys = [jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) for leaf in given]
+        for key, one, other in zip(keys, given, found, strict=True):
+            np.testing.assert_array_equal(jax.random.key_data(one) if key else one, other)
 
 
 @pytest.mark.parametrize("change", [-1, 1])
