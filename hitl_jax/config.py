@@ -47,6 +47,7 @@ from hitl_jax.learner.algorithms import LEARNERS
 from hitl_jax.learner.task_learner import TaskLearner
 from hitl_jax.xla.dense_product import MATMUL_PRECISIONS
 
+BOUNDARY_LEARNERS = ("printed", "margin")
 _MOST_UNITS = 2**20
 _MOST_LAYERS = 16
 _MOST_WEIGHTS = 2**26
@@ -92,6 +93,8 @@ class AgentConfig:
         batch_size: transitions in a minibatch of the task learner.
         n_step: steps of reward before the bootstrap.
         boundary_source: how line 6 and line 8 of Algorithm 1 meet:
+        boundary_learner: how lines 10 to 12 learn: `printed`, with a critic of state and boundary;
+            or `margin`, with a critic of state and alarm.
         boundary_hidden_sizes: widths of the boundary networks' hidden layers.
         boundary_batch_size: samples in a minibatch of the boundary learner.
         risk_hidden_sizes: widths of the risk critic's hidden layers.
@@ -117,6 +120,7 @@ class AgentConfig:
     batch_size: int = whole(64, 1, _MOST_UNITS)
     n_step: int = whole(4, 1, _MOST_UNITS)
     boundary_source: str = choice("rule", SOURCES)
+    boundary_learner: str = among("printed", BOUNDARY_LEARNERS)
     boundary_hidden_sizes: tuple[int, ...] = checked_by((32, 32), _require_layers)
     boundary_batch_size: int = whole(64, 1, _MOST_UNITS)
     risk_hidden_sizes: tuple[int, ...] = checked_by((64, 64), _require_layers)

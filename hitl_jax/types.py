@@ -42,6 +42,8 @@ class BoundaryTransition:
         discount: γ · (1 − terminated), [].
         next_observation: s_{t+1}, [O].
         next_boundary: τ_{t+1} of line 8, [].
+        indicator: c_t, []; None where nobody looks at it.
+        next_indicator: c_{t+1}, [], likewise.
     """
 
     observation: chex.Array
@@ -50,6 +52,8 @@ class BoundaryTransition:
     discount: chex.Array
     next_observation: chex.Array
     next_boundary: chex.Array
+    indicator: chex.Array | None = None
+    next_indicator: chex.Array | None = None
 
 
 @struct.dataclass
@@ -103,12 +107,14 @@ class BoundaryState:
         critic: parameters ω of Q_ω.
         actor_optimizer: state of Adam for θ.
         critic_optimizer: state of Adam for ω.
+        target_critic: Polyak average of `critic`; None where there are no targets.
     """
 
     actor: Params
     critic: Params
     actor_optimizer: Any
     critic_optimizer: Any
+    target_critic: Params | None = None
 
 
 @struct.dataclass

@@ -63,15 +63,22 @@ def overreach(observation: chex.Array) -> chex.Array:
     return extrapolated - jnp.max(forward)
 
 
-@DANGER_MODELS.register("foresight", "the extrapolated centre of mass is far ahead of the feet")
+@DANGER_MODELS.register(
+    "foresight",
+    "the extrapolated centre of mass is far ahead of the feet, or |hull angle| ≥ tolerance",
+)
 def foresight() -> HumanPart:
-    """Danger is an overreach of at least `foresight_margin`, whatever was judged before."""
+    """Danger is an overreach of at least `foresight_margin`, or a hull as tilted as `tolerance`.
+
+    Whatever was judged before. Who sees a stumble coming also sees a fall.
+    """
 
     def rule(
         params: HumanParams, observation: chex.Array, dangerous: chex.Array, key: chex.PRNGKey
     ) -> chex.Array:
         del dangerous, key
-        return overreach(observation) >= params.extra[MARGIN]
+        tilted = jnp.abs(observation[0]) >= params.tolerance
+        return tilted | (overreach(observation) >= params.extra[MARGIN])
 
     # 3 m: of walkers of six tuning seeds (102, 105 to 109; 180 falls), 57 % of the states so judged
     # are within a second of a fall, 1 % of the others are so judged, and danger is seen 0.8 s

@@ -205,6 +205,24 @@ class BoundaryCritic(nn.Module):
         return nn.Dense(1, kernel_init=_kernel_init)(x)[..., 0]
 
 
+class AlarmCritic(nn.Module):
+    """Q_ω(s, ·): the values of a state without an alarm, and with one.
+
+    Attributes:
+        hidden_sizes: widths of the hidden layers.
+    """
+
+    hidden_sizes: Sequence[int]
+
+    @nn.compact
+    def __call__(self, observation: chex.Array) -> chex.Array:
+        """Maps observations [..., O] to values [..., 2]."""
+        x = observation
+        for size in self.hidden_sizes:
+            x = nn.relu(nn.Dense(size, kernel_init=_kernel_init)(x))
+        return nn.Dense(2, kernel_init=_kernel_init)(x)
+
+
 class RiskNetwork(nn.Module):
     """The logit of the risk of a state.
 

@@ -16,6 +16,7 @@ CAME_LATER: dict[str, dict[str, Any]] = {
         "matmul_precision": "float32",
         "human_parts": ["delay", "mistakes", "lapses", "attention"],
         "human_actions": "scripted",
+        "boundary_learner": "printed",
         "risk_hidden_sizes": [64, 64],
         "risk_batch_size": 64,
         "risk_horizon": 50,

@@ -302,8 +302,9 @@ def _boundary(
     key: chex.PRNGKey,
 ) -> chex.Array:
     """τ_t (line 6): from the boundary source where it is learned, τ_0 where it is fixed."""
-    noise = hyper.boundary_noise * jax.random.normal(key, (), jnp.float32)
-    network = agent.boundary_learner.boundary(hyper, actor, observation) + noise
+    learner = agent.boundary_learner
+    noise = hyper.boundary_noise * learner.noise(key)
+    network = learner.boundary(hyper, actor, observation) + noise
     learned = agent.boundary_source.boundary(state.boundary, network)
     learned = jnp.clip(learned, hyper.boundary_low, hyper.boundary_high)
     return jnp.where(hyper.learns_boundary > 0, learned, hyper.initial_boundary)

@@ -21,9 +21,9 @@ from hitl_jax.learner import losses, replay
 from hitl_jax.learner.algorithms import LEARNERS
 from hitl_jax.learner.task_learner import TaskLearner
 from hitl_jax.team.parts import Agent
+from hitl_jax.team.parts import behavior as behavior
 from hitl_jax.team.trial_run import require_runs
 from hitl_jax.types import (
-    Behavior,
     BoundaryState,
     BoundaryTransition,
     RiskState,
@@ -168,15 +168,6 @@ def init(agent: Agent, key: chex.PRNGKey) -> TrainState:
     )
 
 
-def behavior(state: TrainState) -> Behavior:
-    """The part of a run's state that acting needs."""
-    return Behavior(
-        actor=state.learner.actor,
-        boundary_actor=state.boundary.actor,
-        risk=None if state.risk is None else state.risk.critic,
-    )
-
-
 def update(
     agent: Agent,
     hyper: RunHyper,
@@ -259,9 +250,16 @@ def learn(
     state = _learn_task(agent, hyper, state, memory, column, num_updates // delay, keys)
 
     def learn_boundary(state: TrainState) -> BoundaryState:
-        size = agent.config.boundary_batch_size
-        pool = replay.sample_boundary(memory, agent.layout, column, boundary_key, size, hyper.gamma)
-        return update_boundary(agent, hyper, state, pool)[0].boundary
+        learner = agent.boundary_learner
+
+        def once(state: TrainState, key: chex.PRNGKey) -> tuple[TrainState, None]:
+            pool = agent.draw_boundary(hyper, state, memory, column, key)
+            return update_boundary(agent, hyper, state, pool)[0], None
+
+        if learner.num_updates == 1:
+            return once(state, boundary_key)[0].boundary
+        keys = jax.random.split(boundary_key, learner.num_updates)
+        return jax.lax.scan(once, state, keys)[0].boundary
 
     # Where runs are taken one by one, the methods that learn no boundary do not pay for it.
     learned = jax.lax.cond(

@@ -84,7 +84,7 @@ def diagnose(
     noise = jax.random.normal(noise_key, (SAMPLE, learner.noise_size), jnp.float32)
     target = learner.targets(hyper, state.learner, batch, noise)
     _, metrics = learner.improve(hyper, state.learner, batch, target, noise, True)
-    pool = replay.sample_boundary(memory, agent.layout, column, pool_key, SAMPLE, hyper.gamma)
+    pool = agent.draw_boundary(hyper, state, memory, column, pool_key, SAMPLE)
     _, of_boundary = agent.boundary_learner.improve(hyper, state.boundary, pool)
     network = agent.boundary_learner.boundary(hyper, state.boundary.actor, pool.observation)
     of_boundary |= {

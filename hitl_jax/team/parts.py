@@ -1,22 +1,26 @@
 """`Agent`: the parts of a team, and what follows from them."""
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple
 
 import chex
+import jax
 
 from hitl_jax.arbiter import Intervention
 from hitl_jax.arbiter.releases import Release
 from hitl_jax.boundary import BoundaryLearner, BoundarySource
+from hitl_jax.boundary.margin import MarginLearner
 from hitl_jax.choices.options import Option, all_options, completed
-from hitl_jax.config import AgentConfig
+from hitl_jax.config import AgentConfig, as_float32
 from hitl_jax.human import HumanPart
 from hitl_jax.human.actions import ActionSource
 from hitl_jax.human.indicator import Indicator, does_see_risk
+from hitl_jax.learner import replay
 from hitl_jax.learner.frame import Layout
 from hitl_jax.learner.task_learner import TaskLearner
 from hitl_jax.risk import RiskLearner
-from hitl_jax.types import Behavior
+from hitl_jax.types import Behavior, BoundaryTransition, TrainState
 
 
 class Agent(NamedTuple):
@@ -43,9 +47,12 @@ class Agent(NamedTuple):
     release: Release
 
     @property
-    def boundary_learner(self) -> BoundaryLearner:
+    def boundary_learner(self) -> BoundaryLearner | MarginLearner:
         """π_θ and Q_ω."""
-        return BoundaryLearner(self.config.observation_size, self.config.boundary_hidden_sizes)
+        sizes = self.config.observation_size, self.config.boundary_hidden_sizes
+        if self.config.boundary_learner == "margin":
+            return MarginLearner(*sizes)
+        return BoundaryLearner(*sizes)
 
     @property
     def risk_learner(self) -> RiskLearner | None:
@@ -74,6 +81,34 @@ class Agent(NamedTuple):
         assert params is not None and params.risk is not None
         return self.indicator(observation, learner.risk(params.risk, observation))
 
+    def draw_boundary(
+        self,
+        hyper: Any,
+        state: TrainState,
+        memory: replay.Replay,
+        column: chex.Array,
+        key: chex.PRNGKey,
+        size: int | None = None,
+    ) -> BoundaryTransition:
+        """Samples of the pool D (line 10), with the safety indicator as it is now.
+
+        Args:
+            hyper: the run's hyperparameters, scalars.
+            state: the run's training state.
+            memory: the replay.
+            column: the run's column, int32 [].
+            key: consumed.
+            size: N; None is the team's.
+        """
+        size = self.config.boundary_batch_size if size is None else size
+        pool = self.boundary_learner.draw(memory, self.layout, column, key, size, hyper.gamma)
+        indicator = jax.vmap(functools.partial(self.safety_indicator, behavior(state)))
+        return dataclasses.replace(
+            pool,
+            indicator=as_float32(indicator(pool.observation)),
+            next_indicator=as_float32(indicator(pool.next_observation)),
+        )
+
     @property
     def layout(self) -> Layout:
         """Columns of a frame in replay."""
@@ -95,3 +130,12 @@ class Agent(NamedTuple):
         return dataclasses.replace(
             hyper, extra=extra, human=dataclasses.replace(hyper.human, extra=of_human)
         )
+
+
+def behavior(state: TrainState) -> Behavior:
+    """The part of a run's state that acting needs."""
+    return Behavior(
+        actor=state.learner.actor,
+        boundary_actor=state.boundary.actor,
+        risk=None if state.risk is None else state.risk.critic,
+    )

@@ -1,0 +1,141 @@
+"""The margin's learner: what an alarm is worth, and a boundary that raises it where it is."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hitl_jax.boundary import alarm
+from hitl_jax.boundary.margin import MarginLearner, alarm_probability, alarm_values
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.errors import InvalidValue
+from hitl_jax.learner import replay
+from hitl_jax.learner.frame import Layout
+from hitl_jax.team import agent as agents
+from hitl_jax.types import BoundaryTransition
+
+_LEARNER = MarginLearner(2, (32,))
+_HYPER = Hyper(
+    boundary_noise=0.05,
+    boundary_actor_learning_rate=3e-3,
+    boundary_critic_learning_rate=3e-3,
+    target_step_size=0.05,
+)
+
+
+def test_the_probability_of_an_alarm_is_that_of_its_noise():
+    keys = jax.random.split(jax.random.key(0), 20_000)
+    noise = 0.05 * jax.vmap(_LEARNER.noise)(keys)
+    for margin in (-0.3, -0.02, 0.0, 0.1):
+        raised = alarm(jnp.full(noise.shape, 0.5), jnp.maximum(0.5 - margin + noise, 0.0))
+        told = alarm_probability(jnp.float32(margin), jnp.float32(0.05))
+        np.testing.assert_allclose(raised.mean(), told, atol=0.01)
+    np.testing.assert_allclose(alarm_probability(jnp.array([-0.1, 0.1]), 0.0), [0, 1], atol=1e-4)
+
+
+@jax.jit
+def _learn(hyper, state, key):
+    """Updates where the human agrees with alarms if the first number is positive.
+
+    There an alarm spares the walker a loss of 5.
+    """
+
+    def once(state, key):
+        keys = jax.random.split(key, 3)
+        seen = jax.random.uniform(keys[0], (64, 2), minval=-1.0)
+        indicator = 0.4 + 0.2 * seen[:, 1]
+        noise = hyper.boundary_noise * jax.vmap(_LEARNER.noise)(jax.random.split(keys[1], 64))
+        boundary = jnp.clip(
+            _LEARNER.boundary(hyper, state.actor, seen) + noise,
+            hyper.boundary_low,
+            hyper.boundary_high,
+        )
+        alarmed, danger = indicator >= boundary, seen[:, 0] > 0.0
+        reward = jnp.where(alarmed, jnp.where(danger, 1.0, -1.0), jnp.where(danger, -5.0, 0.0))
+        batch = BoundaryTransition(
+            observation=seen,
+            boundary=boundary,
+            reward=reward,
+            discount=jnp.zeros(64),
+            next_observation=seen,
+            next_boundary=boundary,
+            indicator=indicator,
+            next_indicator=indicator,
+        )
+        return _LEARNER.improve(hyper, state, batch)
+
+    return jax.lax.scan(once, state, jax.random.split(key, 3000))
+
+
+@pytest.mark.parametrize("initial", [0.1, 0.4, 0.7, 1.0, 1.4])
+def test_from_any_initial_boundary_alarms_are_raised_where_they_pay(initial):
+    hyper = _HYPER.replace(initial_boundary=initial)
+    state = _LEARNER.init(jax.random.key(1), jax.random.key(2))
+    state, metrics = _learn(hyper, state, jax.random.key(3))
+    assert np.isfinite(metrics["boundary_critic_loss"]).all()
+    seen = jax.random.uniform(jax.random.key(4), (4000, 2), minval=-1.0)
+    seen = seen[jnp.abs(seen[:, 0]) > 0.2]  # In between nobody knows.
+    raised = 0.4 + 0.2 * seen[:, 1] >= _LEARNER.boundary(hyper, state.actor, seen)
+    danger = seen[:, 0] > 0.0
+    assert raised[danger].mean() > 0.95
+    assert raised[~danger].mean() < 0.05
+    without, with_alarm = alarm_values(_LEARNER.critic.apply, state.critic, seen)
+    np.testing.assert_allclose(with_alarm[:, danger].mean(), 1.0, atol=0.5)
+    np.testing.assert_allclose(without[:, danger].mean(), -5.0, atol=0.5)
+
+
+def _memory(alarms, steps=64):
+    """A run of which these steps raised an alarm."""
+    layout = Layout(1, 1)
+    frames = np.zeros((1, steps, layout.width), np.float32)
+    frames[0, :, layout.observation] = np.arange(steps)[:, None]
+    frames[0, alarms, layout.boundary_reward] = -1.0
+    memory = replay.begin_run(replay.init(steps, 1, layout), 0)
+    return replay.add(memory, frames), layout
+
+
+@pytest.mark.parametrize(("alarms", "share"), [([5], 0.1), (list(range(0, 60, 4)), 0.45), ([], 0)])
+def test_half_of_a_minibatch_has_alarms(alarms, share):
+    memory, layout = _memory(alarms)
+    learner = MarginLearner(1, (8,))
+    batch = learner.draw(memory, layout, 0, jax.random.key(0), 512, jnp.float32(0.9))
+    assert batch.boundary.shape == (512,)
+    found = np.isin(np.asarray(batch.observation)[256:, 0], alarms)
+    assert found.mean() >= 2 * share
+    assert (np.asarray(batch.reward)[256:][found] == -1.0).all()
+    np.testing.assert_allclose(np.asarray(batch.observation)[:256].mean(), 31, atol=5)
+
+
+def test_a_team_learns_with_it():
+    config = AgentConfig(
+        learner="td3",
+        hidden_sizes=(8,),
+        batch_size=8,
+        boundary_learner="margin",
+        boundary_source="network",
+        boundary_hidden_sizes=(8,),
+        boundary_batch_size=8,
+        indicator="fall_risk",
+    )
+    agent = agents.make_agent(config)
+    layout = agent.layout
+    frames = np.random.default_rng(0).normal(size=(1, 64, layout.width)).astype(np.float32)
+    frames[..., layout.terminated : layout.final + 1] = 0.0
+    frames[..., layout.event] = 0.0
+    memory = replay.add(replay.begin_run(replay.init(64, 1, layout), 0), frames)
+    state = agents.init(agent, jax.random.key(0))
+    learn = jax.jit(functools.partial(agents.learn, agent), static_argnums=4)
+    for method in Method:
+        after = learn(hyper_for(method, Hyper()), state, memory, 0, 4)
+        changed = jax.tree.map(
+            lambda a, b: bool((a != b).any()), after.boundary.actor, state.boundary.actor
+        )
+        assert any(jax.tree.leaves(changed)) is (method is Method.HITL_AC)
+        assert np.isfinite(jax.tree.reduce(lambda a, b: a + b.sum(), after.boundary.critic, 0.0))
+
+
+def test_an_unknown_learner_is_one_line():
+    with pytest.raises(InvalidValue, match=r"^boundary_learner x: must be one of printed, margin$"):
+        AgentConfig(boundary_learner="x")
