@@ -44,6 +44,7 @@ class BoundaryTransition:
         next_boundary: τ_{t+1} of line 8, [].
         indicator: c_t, []; None where nobody looks at it.
         next_indicator: c_{t+1}, [], likewise.
+        counts: 0 where the boundary decided nothing, [], likewise.
     """
 
     observation: chex.Array
@@ -54,6 +55,7 @@ class BoundaryTransition:
     next_boundary: chex.Array
     indicator: chex.Array | None = None
     next_indicator: chex.Array | None = None
+    counts: chex.Array | None = None
 
 
 @struct.dataclass

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from hitl_jax.boundary.decisions import sample_decisions
 from hitl_jax.boundary.learner import BoundaryNetworks
 from hitl_jax.learner import adam, networks, replay
 from hitl_jax.learner.frame import Layout
@@ -41,6 +42,12 @@ def alarm_values(
     """Q_ω(s, not C) and Q_ω(s, C) of each critic, [E, N] each, for observations [N, O]."""
     values = jax.vmap(lambda own: apply(own, observation))(critic)
     return values[..., 0], values[..., 1]
+
+
+def _weights(batch: BoundaryTransition) -> chex.Array:
+    """Of the samples, of mean 1 unless none counts, [N]."""
+    assert batch.counts is not None
+    return batch.counts / jnp.maximum(jnp.mean(batch.counts), 1.0 / batch.counts.size)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,8 +98,8 @@ class MarginLearner(BoundaryNetworks):
         """Samples of the pool D (line 10), half of them with an alarm as far as some are found."""
         keys = jax.random.split(key)
         half = batch_size // 2
-        any_of = replay.sample_boundary(memory, layout, column, keys[0], batch_size - half, gamma)
-        alarmed = replay.sample_boundary(memory, layout, column, keys[1], half, gamma, alarmed=True)
+        any_of = sample_decisions(memory, layout, column, keys[0], batch_size - half, gamma)
+        alarmed = sample_decisions(memory, layout, column, keys[1], half, gamma, alarmed=True)
         both: BoundaryTransition = jax.tree.map(
             lambda *leaves: jnp.concatenate(leaves), any_of, alarmed
         )
@@ -146,7 +153,8 @@ class MarginLearner(BoundaryNetworks):
         assert batch.indicator is not None
         without, with_alarm = alarm_values(self.critic.apply, critic, batch.observation)
         alarmed = jnp.abs(batch.indicator) >= jnp.abs(batch.boundary)
-        loss = jnp.mean(jnp.square(jnp.where(alarmed, with_alarm, without) - target))
+        error = jnp.square(jnp.where(alarmed, with_alarm, without) - target)
+        loss = jnp.mean(error * _weights(batch))
         return loss, {"boundary_critic_loss": loss}
 
     def _actor_loss(
@@ -158,7 +166,7 @@ class MarginLearner(BoundaryNetworks):
         advantage = jax.lax.stop_gradient(jnp.mean(with_alarm - without, axis=0))
         boundary = self.boundary(hyper, actor, batch.observation)
         likely = alarm_probability(jnp.abs(batch.indicator) - boundary, hyper.boundary_noise)
-        loss = -jnp.mean(likely * advantage)
+        loss = -jnp.mean(likely * advantage * _weights(batch))
         return loss, {
             "boundary_actor_loss": loss,
             "alarm_advantage": jnp.mean(advantage),

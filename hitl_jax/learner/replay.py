@@ -24,7 +24,6 @@ from flax import struct
 from hitl_jax.learner.frame import CUT_OFF, FALL, Layout
 from hitl_jax.types import BoundaryTransition, Outcome, Transition
 
-_TRIES = 16
 _DRAWS = 2
 """Draws for each start. Frames that are final are passed over; the chance that all draws are final
 is (episodes / frames)^2, and then the step beside the final frame is taken."""
@@ -166,7 +165,7 @@ def draw(
         Draws, leaves [B].
     """
     capacity, gamma = replay.seen.shape[1], jnp.asarray(gamma, jnp.float32)
-    begin = _starts(replay, layout, column, key, batch_size, n_step)
+    begin = starts(replay, layout, column, key, batch_size, n_step)
     window = (begin[:, None] + jnp.arange(n_step, dtype=jnp.int32)) % capacity
     reward, terminated, truncated = (
         replay.outcome[column, window, index - layout.reward]
@@ -211,7 +210,6 @@ def sample_boundary(
     key: chex.PRNGKey,
     batch_size: int,
     gamma: chex.Array,
-    alarmed: bool = False,
 ) -> BoundaryTransition:
     """Draws samples (s_i, s_{i+1}, r_i, τ_i, τ_{i+1}) of the pool D (Algorithm 1, line 10).
 
@@ -222,21 +220,12 @@ def sample_boundary(
         key: consumed.
         batch_size: N.
         gamma: γ, [].
-        alarmed: static; whether steps in which r'_t is not 0 are sought: each is the first of 16
-            draws that is one, or, if none is, any.
 
     Returns:
         A minibatch, leading axis N.
     """
     capacity = replay.seen.shape[1]
-    if alarmed:
-        begin = _starts(replay, layout, column, key, _TRIES * batch_size, 1)
-        places = begin.reshape(_TRIES, batch_size) % capacity
-        found = replay.outcome[column, places, layout.boundary_reward - layout.reward] != 0.0
-        first = jnp.argmax(found, axis=0)[None]
-        begin = jnp.take_along_axis(begin.reshape(_TRIES, batch_size), first, axis=0)[0]
-    else:
-        begin = _starts(replay, layout, column, key, batch_size, 1)
+    begin = starts(replay, layout, column, key, batch_size, 1)
     seen = replay.seen[column, begin % capacity]
     after = replay.seen[column, (begin + 1) % capacity]
     outcome = replay.outcome[column, begin % capacity]
@@ -300,7 +289,7 @@ def sample_outcomes(
     )
 
 
-def _starts(
+def starts(
     replay: Replay,
     layout: Layout,
     column: chex.Array,

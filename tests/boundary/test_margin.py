@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from hitl_jax.boundary import alarm
+from hitl_jax.boundary.decisions import sample_decisions
 from hitl_jax.boundary.margin import MarginLearner, alarm_probability, alarm_values
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.errors import InvalidValue
 from hitl_jax.learner import replay
-from hitl_jax.learner.frame import Layout
+from hitl_jax.learner.frame import CUT_OFF, Layout
 from hitl_jax.team import agent as agents
 from hitl_jax.types import BoundaryTransition
 
@@ -63,6 +64,7 @@ def _learn(hyper, state, key):
             next_boundary=boundary,
             indicator=indicator,
             next_indicator=indicator,
+            counts=jnp.ones(64),
         )
         return _LEARNER.improve(hyper, state, batch)
 
@@ -86,7 +88,7 @@ def test_from_any_initial_boundary_alarms_are_raised_where_they_pay(initial):
     np.testing.assert_allclose(without[:, danger].mean(), -5.0, atol=0.5)
 
 
-def _memory(alarms, steps=64):
+def _memory(alarms, steps=256):
     """A run of which these steps raised an alarm."""
     layout = Layout(1, 1)
     frames = np.zeros((1, steps, layout.width), np.float32)
@@ -96,7 +98,9 @@ def _memory(alarms, steps=64):
     return replay.add(memory, frames), layout
 
 
-@pytest.mark.parametrize(("alarms", "share"), [([5], 0.1), (list(range(0, 60, 4)), 0.45), ([], 0)])
+@pytest.mark.parametrize(
+    ("alarms", "share"), [([5], 0.03), (list(range(0, 190, 4)), 0.45), ([], 0)]
+)
 def test_half_of_a_minibatch_has_alarms(alarms, share):
     memory, layout = _memory(alarms)
     learner = MarginLearner(1, (8,))
@@ -105,7 +109,42 @@ def test_half_of_a_minibatch_has_alarms(alarms, share):
     found = np.isin(np.asarray(batch.observation)[256:, 0], alarms)
     assert found.mean() >= 2 * share
     assert (np.asarray(batch.reward)[256:][found] == -1.0).all()
-    np.testing.assert_allclose(np.asarray(batch.observation)[:256].mean(), 31, atol=5)
+    np.testing.assert_allclose(np.asarray(batch.observation)[:256].mean(), 96, atol=12)
+
+
+def test_a_takeover_is_one_sample():
+    memory, layout = _memory([])
+    frames = np.zeros((1, 256, layout.width), np.float32)
+    steps = np.arange(256)
+    frames[0, :, layout.observation] = steps[:, None]
+    frames[0, :, layout.reward] = 1.0
+    frames[0, 20:30, layout.event] = CUT_OFF  # The human acts for ten steps,
+    frames[0, 50:54, layout.event] = CUT_OFF  # and for four, in which the walker falls.
+    frames[0, 53, layout.terminated] = 1.0
+    frames[0, 54, layout.final] = 1.0
+    frames[0, 54, layout.reward] = 0.0
+    frames[0, 70, layout.event] = CUT_OFF  # Time is up.
+    frames[0, 70, layout.truncated] = 1.0
+    frames[0, 71, layout.final] = 1.0
+    memory = replay.add(replay.begin_run(replay.init(256, 1, layout), 0), frames)
+    batch = sample_decisions(memory, layout, 0, jax.random.key(0), 4096, jnp.float32(0.5))
+    first = np.asarray(batch.observation)[:, 0]
+    for step, reward, discount, after, counts in (
+        (10, 1.0, 0.5, 11, 1),
+        (20, 2.0 - 0.5**9, 0.5**10, 30, 1),
+        (21, None, None, 30, 0),
+        (50, 2.0 - 0.5**3, 0.0, 54, 1),
+        (52, None, 0.0, 54, 0),
+        (70, 1.0, 0.5, 71, 1),
+    ):
+        found = first == step
+        assert found.any()
+        assert (np.asarray(batch.counts)[found] == counts).all()
+        assert (np.asarray(batch.next_observation)[found, 0] == after).all()
+        if reward is not None:
+            np.testing.assert_allclose(np.asarray(batch.reward)[found], reward, rtol=1e-6)
+        if discount is not None:
+            np.testing.assert_allclose(np.asarray(batch.discount)[found], discount, rtol=1e-6)
 
 
 def test_a_team_learns_with_it():
@@ -121,10 +160,10 @@ def test_a_team_learns_with_it():
     )
     agent = agents.make_agent(config)
     layout = agent.layout
-    frames = np.random.default_rng(0).normal(size=(1, 64, layout.width)).astype(np.float32)
+    frames = np.random.default_rng(0).normal(size=(1, 128, layout.width)).astype(np.float32)
     frames[..., layout.terminated : layout.final + 1] = 0.0
     frames[..., layout.event] = 0.0
-    memory = replay.add(replay.begin_run(replay.init(64, 1, layout), 0), frames)
+    memory = replay.add(replay.begin_run(replay.init(128, 1, layout), 0), frames)
     state = agents.init(agent, jax.random.key(0))
     learn = jax.jit(functools.partial(agents.learn, agent), static_argnums=4)
     for method in Method:
