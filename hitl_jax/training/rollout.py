@@ -15,13 +15,11 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-import chex
 import numpy as np
 
 from hitl_jax.config import typed
 from hitl_jax.envs import WalkerPool
 from hitl_jax.envs.base import require_sizes
-from hitl_jax.learner.losses import Metrics
 from hitl_jax.results import recorded_episodes
 from hitl_jax.results.episode_measures import Row
 from hitl_jax.results.run_key import RunKey
@@ -29,13 +27,13 @@ from hitl_jax.team.agent import Agent, require_extra
 from hitl_jax.team.diagnostics import EVERY, on_host
 from hitl_jax.team.warmup import may_learn
 from hitl_jax.training import batch_arrays
+from hitl_jax.training.late_notes import LateNotes
 from hitl_jax.training.learner_queue import LearnerQueue
 from hitl_jax.training.run_spec import (
     FinishedRun,
     LoopConfig,
     Run,
     RunSpec,
-    Snapshot,
     method_index,
 )
 from hitl_jax.training.saved_run import (
@@ -107,10 +105,7 @@ class Rollout:
         self._queue = deque(sorted(specs, key=lambda spec: spec.key not in self._saved))
         self._held: set[RunKey] = set()
         self._ahead: _Chunk | None = None
-        self._diagnosed: deque[tuple[list[tuple[Run, Row]], Metrics]] = deque()
-        # Snapshots that are due, with rows of parameters that the learner may still compute.
-        self._due: deque[tuple[Run, list[int], chex.Array, np.ndarray]] = deque()
-        self._num_due = np.zeros(slots, int)
+        self._notes = LateNotes(self._learner, slots)
         self._fill(self._learner.order())
 
     def __iter__(self) -> Iterator[list[FinishedRun]]:
@@ -144,8 +139,7 @@ class Rollout:
 
     def collect(self, run: Run) -> FinishedRun:
         """What a run has become so far; for a run that has a slot."""
-        self._note_diagnostics(wait=True)
-        self._note_snapshots(wait=True)
+        self._notes.note(wait=True)
         return FinishedRun(run, self._learner.train_of(run.slot), self._boundary_of(run))
 
     def diagnose(self, run: Run) -> Row:
@@ -165,8 +159,7 @@ class Rollout:
         are those since the runs were saved before.
         """
         self._catch_up()
-        self._note_diagnostics(wait=True)
-        self._note_snapshots(wait=True)
+        self._notes.note(wait=True)
         train, learned = self._learner.save()
         acting = self._stage.words()
         recent = np.concatenate(self._recent, axis=1)
@@ -230,8 +223,7 @@ class Rollout:
             if len(self._recent) > self._config.frames // self._config.chunk:
                 del self._recent[0]  # The replay has forgotten it.
         for run in self._recorder.take_ended():
-            self._keep_snapshots(run)
-        self._note_snapshots(wait=False)
+            self._notes.ask_snapshots(run, self._boundary_of(run))
         ended = [self.collect(run) for run in self._not_held(self.runs()) if run.done]
         self._learn(frames)
         return ended
@@ -311,23 +303,6 @@ class Rollout:
         }
         require_shapes(saved, expected)
 
-    def _keep_snapshots(self, run: Run) -> None:
-        """Keeps those whose episodes have ended in this chunk, there may be several; see `_due`."""
-        left = run.spec.snapshots[len(run.snapshots) + self._num_due[run.slot] :]
-        if left and (left[0] <= len(run.episodes) or run.diverged):
-            due = [episode for episode in left if episode <= len(run.episodes) or run.diverged]
-            row = self._learner.behavior_of(run.slot)
-            self._due.append((run, due, row, self._boundary_of(run)))
-            self._num_due[run.slot] += len(due)
-
-    def _note_snapshots(self, wait: bool) -> None:
-        """Keeps the snapshots whose parameters are there, or all, in their order."""
-        while self._due and (wait or self._due[0][2].is_ready()):
-            run, due, row, boundary = self._due.popleft()
-            [learned] = self._learner.behaviors(np.asarray(row)[None])
-            run.snapshots += [Snapshot(episode, learned, boundary) for episode in due]
-            self._num_due[run.slot] -= len(due)
-
     def _boundary_of(self, run: Run) -> np.ndarray:
         return self._stage.boundaries()[run.slot]
 
@@ -342,25 +317,13 @@ class Rollout:
         for run in learning.values():
             run.updates += self._learner.num_updates
         self._learner.learn(frames, list(learning))
-        self._note_diagnostics(wait=False)
+        self._notes.note(wait=False)
         due = [
             slot
             for slot, run in learning.items()
             if run.updates % EVERY < self._learner.num_updates
         ]
-        for slots, metrics in self._learner.diagnose(due):
-            rows = [(learning[slot], learning[slot].counters()) for slot in slots]
-            self._diagnosed.append((rows, metrics))
-
-    def _note_diagnostics(self, wait: bool) -> None:
-        """Notes the samples of the learners in their order: those that are there, or all."""
-        while self._diagnosed:
-            rows, metrics = self._diagnosed[0]
-            if not (wait or all(value.is_ready() for value in metrics.values())):
-                return
-            self._diagnosed.popleft()
-            for (run, row), measured in zip(rows, on_host(metrics, len(rows)), strict=True):
-                run.diagnostics.append(row | measured)
+        self._notes.ask_diagnostics(learning, due)
 
 
 def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:
