@@ -29,9 +29,9 @@ from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, num_slots
 
 NUM_RUNS = (1, 3, 10, 30, 100)
-NUM_RUNS_ON_ACCELERATOR = (30, 300, 3000)
+NUM_RUNS_ON_ACCELERATOR = (30, 300, 1002)
 CAPACITY_ON_ACCELERATOR = 50_000
-"""The whole replay of 3000 runs would take 84 GB."""
+"""The whole replay of 1,002 runs would take 28 GB."""
 SLOTS = 128
 SECOND_START_BAR = 15.0
 MEMORY_BAR = 16.0
