@@ -182,7 +182,8 @@ class Hyper:
         target_rate: what `quantile` and `pid` aim at, a share of the steps.
         boundary_low: least boundary.
         boundary_high: greatest boundary.
-        boundary_noise: standard deviation of the exploration of π_θ.
+        boundary_noise: standard deviation of the exploration of π_θ; with `margin` the scale of
+            Cauchy's.
         boundary_actor_learning_rate: α^θ.
         boundary_critic_learning_rate: α^ω.
         risk_learning_rate: Adam's step size for the risk critic.

@@ -45,6 +45,7 @@ class BoundaryTransition:
         indicator: c_t, []; None where nobody looks at it.
         next_indicator: c_{t+1}, [], likewise.
         counts: 0 where the boundary decided nothing, [], likewise.
+        alarmed: whether r'_t was not 0, bool [], likewise.
     """
 
     observation: chex.Array
@@ -56,6 +57,7 @@ class BoundaryTransition:
     indicator: chex.Array | None = None
     next_indicator: chex.Array | None = None
     counts: chex.Array | None = None
+    alarmed: chex.Array | None = None
 
 
 @struct.dataclass

@@ -5,7 +5,10 @@ until the machine acts again: its reward is what came in the meantime, and the b
 there. A critic of single steps would believe that the machine goes on after one step of the human.
 """
 
+import functools
+
 import chex
+import jax
 import jax.numpy as jnp
 
 from hitl_jax.learner import replay
@@ -37,23 +40,19 @@ def sample_decisions(
         batch_size: N.
         gamma: γ, [].
         alarmed: static; whether steps in which r'_t is not 0 are sought: each is the first of 16
-            draws that is one, or, if none is, any.
+            draws that is one, or, if none is, any. With ρ = 0 none is ever found.
 
     Returns:
-        A minibatch, leading axis N; steps in the middle of a takeover do not count.
+        A minibatch, leading axis N; steps in the middle of a takeover do not count, nor does the
+        machine's first step after one, if it is cut off.
     """
     capacity, gamma = memory.seen.shape[1], jnp.asarray(gamma, jnp.float32)
+    came = functools.partial(_came, memory, layout, column)
     begin = _begins(memory, layout, column, key, batch_size, alarmed)
-
-    def came(places: chex.Array, index: int) -> chex.Array:
-        return memory.outcome[column, places % capacity, index - layout.reward]
 
     window = begin[:, None] + jnp.arange(SPAN, dtype=jnp.int32)
     ended = came(window, layout.terminated) + came(window, layout.truncated)
     held = (came(window, layout.event) == CUT_OFF) & (ended == 0.0)
-    before = (begin[:, None] - 1) % capacity
-    goes_on = came(before, layout.terminated) + came(before, layout.truncated) == 0.0
-    was_held = (came(before, layout.event) == CUT_OFF) & goes_on & (begin[:, None] > 0)
     acted = came(window, layout.event) == CUT_OFF
     # lasts[:, i]: the sample is still under way at step i, which the human takes as those before.
     lasts = jnp.cumprod(held[:, :-1] & acted[:, 1:], axis=1)
@@ -65,15 +64,41 @@ def sample_decisions(
     seen = memory.seen[column, begin % capacity]
     after = memory.seen[column, (begin + taken) % capacity]
     enough = replay.num_starts(memory, column, SPAN) > 0
-    return BoundaryTransition(
+    batch = BoundaryTransition(
         observation=seen[:, layout.observation],
         boundary=came(begin, layout.boundary),
         reward=jnp.sum(powers * reward, axis=1) + came(begin, layout.boundary_reward),
         discount=gamma**taken * (1.0 - jnp.minimum(terminated, 1.0)),
         next_observation=after[:, layout.observation],
         next_boundary=came(begin, layout.next_boundary),
-        counts=(enough & ~(was_held & acted[:, :1])[:, 0]).astype(jnp.float32),
+        counts=(~_in_takeover(memory, layout, column, begin)).astype(jnp.float32),
+        alarmed=came(begin, layout.boundary_reward) != 0.0,
     )
+    # Before that the ring has frames of another run, which must not matter.
+    mine: BoundaryTransition = jax.tree.map(
+        lambda leaf: jnp.where(enough, leaf, jnp.zeros_like(leaf)), batch
+    )
+    return mine
+
+
+def _came(
+    memory: replay.Replay, layout: Layout, column: chex.Array, frames: chex.Array, index: int
+) -> chex.Array:
+    """A number of frames of one run."""
+    places = frames % memory.seen.shape[1]
+    return memory.outcome[column, places, index - layout.reward]
+
+
+def _in_takeover(
+    memory: replay.Replay, layout: Layout, column: chex.Array, frames: chex.Array
+) -> chex.Array:
+    """Whether frames are steps in the middle of a takeover, bool [...]."""
+    came = functools.partial(_came, memory, layout, column)
+    oldest = jnp.maximum(memory.start[column], memory.cursor - memory.seen.shape[1])
+    before = frames - 1
+    goes_on = came(before, layout.terminated) + came(before, layout.truncated) == 0.0
+    held_before = (came(before, layout.event) == CUT_OFF) & goes_on & (frames > oldest)
+    return held_before & (came(frames, layout.event) == CUT_OFF)
 
 
 def _begins(
@@ -89,6 +114,7 @@ def _begins(
         return replay.starts(memory, layout, column, key, batch_size, SPAN)
     begin = replay.starts(memory, layout, column, key, _TRIES * batch_size, SPAN)
     begin = begin.reshape(_TRIES, batch_size)
-    places = begin % memory.seen.shape[1]
-    found = memory.outcome[column, places, layout.boundary_reward - layout.reward] != 0.0
+    # In the middle of a takeover alarms change nothing.
+    found = _came(memory, layout, column, begin, layout.boundary_reward) != 0.0
+    found &= ~_in_takeover(memory, layout, column, begin)
     return jnp.take_along_axis(begin, jnp.argmax(found, axis=0)[None], axis=0)[0]

@@ -36,6 +36,14 @@ def alarm_probability(margin: chex.Array, scale: chex.Array) -> chex.Array:
     return 0.5 + jnp.arctan(margin / jnp.maximum(scale, 1e-6)) / jnp.pi
 
 
+def _likely(hyper: Any, indicator: chex.Array, boundary: chex.Array) -> chex.Array:
+    """P(C) of boundaries that are kept within the run's bounds, [...]."""
+    size = jnp.abs(indicator)
+    likely = alarm_probability(size - boundary, hyper.boundary_noise)
+    likely = jnp.where(size < hyper.boundary_low, 0.0, likely)
+    return jnp.where(size >= hyper.boundary_high, 1.0, likely)
+
+
 def alarm_values(
     apply: Any, critic: Params, observation: chex.Array
 ) -> tuple[chex.Array, chex.Array]:
@@ -108,9 +116,18 @@ class MarginLearner(BoundaryNetworks):
     def improve(
         self, hyper: Any, state: BoundaryState, batch: BoundaryTransition
     ) -> tuple[BoundaryState, Metrics]:
-        """One update of both networks (lines 10 to 12); see `BoundaryLearner.improve`."""
+        """One update of both networks (lines 10 to 12); see `BoundaryLearner.improve`.
+
+        Raises:
+            ValueError: one line, for samples that are not of `Agent.draw_boundary`.
+        """
+        more = batch.indicator, batch.next_indicator, batch.counts, batch.alarmed
+        if any(leaf is None for leaf in more):
+            raise ValueError("samples without indicators and alarms: draw them by draw_boundary")
         target = self._target(hyper, state, batch)
-        grads, metrics = jax.grad(self._critic_loss, has_aux=True)(state.critic, batch, target)
+        grads, metrics = jax.grad(self._critic_loss, has_aux=True)(
+            state.critic, hyper, batch, target
+        )
         critic, critic_optimizer = adam.descend(
             state.critic, grads, state.critic_optimizer, hyper.boundary_critic_learning_rate
         )
@@ -138,7 +155,7 @@ class MarginLearner(BoundaryNetworks):
         assert batch.next_indicator is not None
         moved = batch.next_boundary - batch.boundary
         following = self.boundary(hyper, state.actor, batch.next_observation) + moved
-        likely = alarm_probability(jnp.abs(batch.next_indicator) - following, hyper.boundary_noise)
+        likely = _likely(hyper, batch.next_indicator, following)
         without, with_alarm = alarm_values(
             self.critic.apply, state.target_critic, batch.next_observation
         )
@@ -147,12 +164,14 @@ class MarginLearner(BoundaryNetworks):
         return jax.lax.stop_gradient(value)
 
     def _critic_loss(
-        self, critic: Params, batch: BoundaryTransition, target: chex.Array
+        self, critic: Params, hyper: Any, batch: BoundaryTransition, target: chex.Array
     ) -> tuple[chex.Array, Metrics]:
         """Mean squared TD error of the value with or without alarm, as it was (lines 10, 11)."""
-        assert batch.indicator is not None
+        assert batch.indicator is not None and batch.alarmed is not None
         without, with_alarm = alarm_values(self.critic.apply, critic, batch.observation)
-        alarmed = jnp.abs(batch.indicator) >= jnp.abs(batch.boundary)
+        # A learned indicator is another one by now; without ρ nothing tells what it was.
+        now = jnp.abs(batch.indicator) >= jnp.abs(batch.boundary)
+        alarmed = jnp.where(hyper.alarm_reward > 0.0, batch.alarmed, now)
         error = jnp.square(jnp.where(alarmed, with_alarm, without) - target)
         loss = jnp.mean(error * _weights(batch))
         return loss, {"boundary_critic_loss": loss}
@@ -165,9 +184,9 @@ class MarginLearner(BoundaryNetworks):
         without, with_alarm = alarm_values(self.critic.apply, critic, batch.observation)
         advantage = jax.lax.stop_gradient(jnp.mean(with_alarm - without, axis=0))
         boundary = self.boundary(hyper, actor, batch.observation)
-        likely = alarm_probability(jnp.abs(batch.indicator) - boundary, hyper.boundary_noise)
+        likely = _likely(hyper, batch.indicator, boundary)
         loss = -jnp.mean(likely * advantage * _weights(batch))
         return loss, {
             "boundary_actor_loss": loss,
-            "alarm_advantage": jnp.mean(advantage),
+            "boundary_alarm_advantage": jnp.mean(advantage * _weights(batch)),
         }

@@ -65,7 +65,10 @@ def _started(agent: Agent, train: TrainState, start: dict[str, Params]) -> Train
             raise ValueError(f"its {name} has other layers than this team's")
     learner = agent.learner.with_networks(learner, start["actor"], start["critic"])
     networks = dataclasses.replace(
-        networks, actor=start["boundary_actor"], critic=start["boundary_critic"]
+        networks,
+        actor=start["boundary_actor"],
+        critic=start["boundary_critic"],
+        target_critic=None if networks.target_critic is None else start["boundary_critic"],
     )
     risk = train.risk
     if risk is not None:

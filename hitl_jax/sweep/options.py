@@ -231,4 +231,5 @@ def require_team(agent: AgentConfig, loop: LoopConfig, own: bool = False) -> Non
         has = getattr(AgentConfig(), name)
         require(name, getattr(agent, name), at_least=has, at_most=has)
     loop.require_n_step(agent.n_step)
+    loop.require_decisions(agent.boundary_learner)
     loop.num_updates(agent.task_learner.policy_delay)

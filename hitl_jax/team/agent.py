@@ -222,7 +222,7 @@ def learn(
     column: chex.Array,
     num_updates: int,
 ) -> TrainState:
-    """`num_updates` updates of one run, and one of each of its other learners.
+    """`num_updates` updates of one run, and some of its other learners.
 
     The boundary is learned in HITL-AC; the risk where the team looks at it and there is an arbiter.
     Minibatches are drawn from the run's column of the replay.

@@ -61,7 +61,8 @@ class DeviceStage:
         self._pool = pool
         self._learner = learner
         self._programs = learner.programs
-        learner.defers = [block.device for block in pool.blocks] == list(learning_devices())
+        devices = [block.device for block in pool.blocks]
+        learner.defers = len(devices) == 1 and devices == list(learning_devices())
         self._acting = [
             batch_arrays.empty_acting(agent, pool.lanes, block.device) for block in pool.blocks
         ]

@@ -5,7 +5,7 @@ host loop does not wait.
 """
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import chex
 import numpy as np
@@ -31,34 +31,40 @@ class LateNotes:
         # Runs, episodes after which they are kept, rows of parameters, boundaries.
         self._snapshots: deque[tuple[Run, list[int], chex.Array, np.ndarray]] = deque()
         self._num_due = np.zeros(slots, int)
+        self._to_diagnose: list[tuple[Run, Row]] = []
 
-    def ask_snapshots(self, run: Run, boundary: np.ndarray) -> None:
+    def ask_snapshots(self, run: Run, boundary: Callable[[Run], np.ndarray]) -> None:
         """Asks for the snapshots whose episodes have ended; there may be several.
 
         Args:
             run: one that has a slot.
-            boundary: the carry of its boundary source.
+            boundary: gives the carry of its boundary source.
         """
         left = run.spec.snapshots[len(run.snapshots) + self._num_due[run.slot] :]
         due = [episode for episode in left if episode <= len(run.episodes) or run.diverged]
         if due:
             row = self._learner.behavior_of(run.slot)
-            self._snapshots.append((run, due, row, boundary))
+            self._snapshots.append((run, due, row, boundary(run)))
             self._num_due[run.slot] += len(due)
 
-    def ask_diagnostics(self, learning: Mapping[int, Run], due: Sequence[int]) -> None:
-        """Asks for samples of the learners.
+    def diagnose_later(self, due: Sequence[Run]) -> None:
+        """Has samples of runs' learners taken as they are after the calls so far."""
+        self._to_diagnose += [(run, run.counters()) for run in due]
 
-        Args:
-            learning: runs by slot.
-            due: the slots that are asked for.
+    def ask_diagnostics(self) -> None:
+        """Asks for the samples that are due; before the next call of the learner.
+
+        Not when they are due: a call that has just been deferred would be made alone for them.
         """
-        for slots, metrics in self._learner.diagnose(due):
-            rows = [(learning[slot], learning[slot].counters()) for slot in slots]
-            self._diagnosed.append((rows, metrics))
+        due = {run.slot: (run, row) for run, row in self._to_diagnose}
+        self._to_diagnose = []
+        for slots, metrics in self._learner.diagnose(list(due)):
+            self._diagnosed.append(([due[slot] for slot in slots], metrics))
 
     def note(self, wait: bool) -> None:
         """Notes what is there, or all, in its order."""
+        if wait:
+            self.ask_diagnostics()
         while self._snapshots and (wait or self._snapshots[0][2].is_ready()):
             run, due, row, boundary = self._snapshots.popleft()
             [learned] = self._learner.behaviors(np.asarray(row)[None])

@@ -4,8 +4,8 @@ Time is cut into ticks (one step of every walker) and chunks of U ticks. While t
 chunk i+1, the device learns from chunk i, or still from chunk i−1: up to `learner_queue.LAG` calls
 of the learner are under way, so that neither side waits for the other at the end of a chunk. The
 parameters that act in chunk i+1 are those learned up to chunk i−`LAG`. The lag is part of a run's
-definition: it is the same whatever the machine's speed. (Where walkers and learner are on one GPU
-they take turns, and the host books a chunk while the next is played.)
+definition: it is the same whatever the machine's speed. (Where walkers and learner are on one GPU,
+a call is made with a chunk, and the host books a chunk while the next is played.)
 
 A slot is a column of the batch. Runs wait in a queue for a slot; a run that is done leaves its slot
 at once, and takes no more time. Nothing a run computes depends on its slot or on its neighbours.
@@ -223,7 +223,7 @@ class Rollout:
             if len(self._recent) > self._config.frames // self._config.chunk:
                 del self._recent[0]  # The replay has forgotten it.
         for run in self._recorder.take_ended():
-            self._notes.ask_snapshots(run, self._boundary_of(run))
+            self._notes.ask_snapshots(run, self._boundary_of)
         ended = [self.collect(run) for run in self._not_held(self.runs()) if run.done]
         self._learn(frames)
         return ended
@@ -316,20 +316,20 @@ class Rollout:
         }
         for run in learning.values():
             run.updates += self._learner.num_updates
+        self._notes.ask_diagnostics()
         self._learner.learn(frames, list(learning))
         self._notes.note(wait=False)
-        due = [
-            slot
-            for slot, run in learning.items()
-            if run.updates % EVERY < self._learner.num_updates
-        ]
-        self._notes.ask_diagnostics(learning, due)
+        num_updates = self._learner.num_updates
+        self._notes.diagnose_later(
+            [run for run in learning.values() if run.updates % EVERY < num_updates]
+        )
 
 
 def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:
     """Raises ValueError where agent, pool and loop do not fit each other."""
     require_sizes(pool, agent.config.observation_size, agent.config.action_size)
     config.require_n_step(agent.config.n_step)
+    config.require_decisions(agent.config.boundary_learner)
     devices = len(learning_devices())
     if pool.num_walkers % devices:
         raise ValueError(f"{pool.num_walkers} walkers do not divide over {devices} devices")

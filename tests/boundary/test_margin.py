@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitl_jax.boundary import alarm
+from hitl_jax.boundary import alarm, margin
 from hitl_jax.boundary.decisions import sample_decisions
 from hitl_jax.boundary.margin import MarginLearner, alarm_probability, alarm_values
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
@@ -15,6 +15,7 @@ from hitl_jax.errors import InvalidValue
 from hitl_jax.learner import replay
 from hitl_jax.learner.frame import CUT_OFF, Layout
 from hitl_jax.team import agent as agents
+from hitl_jax.training.run_spec import LoopConfig
 from hitl_jax.types import BoundaryTransition
 
 _LEARNER = MarginLearner(2, (32,))
@@ -29,9 +30,9 @@ _HYPER = Hyper(
 def test_the_probability_of_an_alarm_is_that_of_its_noise():
     keys = jax.random.split(jax.random.key(0), 20_000)
     noise = 0.05 * jax.vmap(_LEARNER.noise)(keys)
-    for margin in (-0.3, -0.02, 0.0, 0.1):
-        raised = alarm(jnp.full(noise.shape, 0.5), jnp.maximum(0.5 - margin + noise, 0.0))
-        told = alarm_probability(jnp.float32(margin), jnp.float32(0.05))
+    for beyond in (-0.3, -0.02, 0.0, 0.1):
+        raised = alarm(jnp.full(noise.shape, 0.5), jnp.maximum(0.5 - beyond + noise, 0.0))
+        told = alarm_probability(jnp.float32(beyond), jnp.float32(0.05))
         np.testing.assert_allclose(raised.mean(), told, atol=0.01)
     np.testing.assert_allclose(alarm_probability(jnp.array([-0.1, 0.1]), 0.0), [0, 1], atol=1e-4)
 
@@ -65,6 +66,7 @@ def _learn(hyper, state, key):
             indicator=indicator,
             next_indicator=indicator,
             counts=jnp.ones(64),
+            alarmed=alarmed,
         )
         return _LEARNER.improve(hyper, state, batch)
 
@@ -145,6 +147,60 @@ def test_a_takeover_is_one_sample():
             np.testing.assert_allclose(np.asarray(batch.reward)[found], reward, rtol=1e-6)
         if discount is not None:
             np.testing.assert_allclose(np.asarray(batch.discount)[found], discount, rtol=1e-6)
+
+
+def test_alarms_are_sought_where_they_decide():
+    """Alarms stay on while the human acts; only the first of a takeover is a decision."""
+    memory, layout = _memory([])
+    frames = np.zeros((1, 256, layout.width), np.float32)
+    frames[0, :, layout.observation] = np.arange(256)[:, None]
+    held = (np.arange(256) % 40) < 20
+    frames[0, held, layout.event] = CUT_OFF
+    frames[0, held, layout.boundary_reward] = 1.0
+    memory = replay.add(replay.begin_run(replay.init(256, 1, layout), 0), frames)
+    draw = functools.partial(sample_decisions, memory, layout, 0, jax.random.key(0), 512)
+    batch = draw(jnp.float32(0.9), alarmed=True)
+    decisions = np.asarray(batch.alarmed) & (np.asarray(batch.counts) > 0.0)
+    first = np.asarray(batch.observation)[decisions, 0]
+    assert (first % 40 == 0).all()
+    assert decisions.mean() > 0.25  # One in forty frames, of sixteen draws: 0.33.
+
+
+def test_what_a_run_before_has_left_does_not_matter():
+    layout = Layout(1, 1)
+    memory = replay.init(128, 1, layout)
+    memory = replay.add(memory, np.full((1, 128, layout.width), np.nan, np.float32))
+    memory = replay.add(replay.begin_run(memory, 0), np.zeros((1, 32, layout.width), np.float32))
+    batch = sample_decisions(memory, layout, 0, jax.random.key(0), 64, jnp.float32(0.9))
+    assert all(not np.asarray(leaf).any() for leaf in jax.tree.leaves(batch))
+
+
+@pytest.mark.parametrize(
+    ("size", "boundary"), [(0.02, 0.06), (0.02, 1.49), (1.6, 1.49), (0.5, 0.4)]
+)
+def test_bounds_are_part_of_the_probability(size, boundary):
+    hyper = Hyper()
+    noise = hyper.boundary_noise * jax.vmap(_LEARNER.noise)(
+        jax.random.split(jax.random.key(0), 20_000)
+    )
+    executed = jnp.clip(boundary + noise, hyper.boundary_low, hyper.boundary_high)
+    told = margin._likely(hyper, jnp.float32(size), jnp.float32(boundary))
+    np.testing.assert_allclose((size >= executed).mean(), told, atol=0.01)
+
+
+def test_other_samples_are_refused_in_one_line():
+    state = _LEARNER.init(jax.random.key(1), jax.random.key(2))
+    one = jnp.zeros((1, 2))
+    sample = BoundaryTransition(one, one[0, :1], one[0, :1], one[0, :1], one, one[0, :1])
+    with pytest.raises(ValueError, match=r"^samples without indicators and alarms"):
+        _LEARNER.improve(_HYPER, state, sample)
+
+
+def test_a_replay_that_holds_no_takeover_is_refused():
+    with pytest.raises(InvalidValue, match=r"^capacity 96: must be at least 128 with"):
+        LoopConfig(capacity=96).require_decisions("margin")
+    LoopConfig(capacity=96).require_decisions("printed")
+    LoopConfig(capacity=128).require_decisions("margin")
 
 
 def test_a_team_learns_with_it():

@@ -53,3 +53,12 @@ def test_danger_begins_at_the_margin(env, margin, dangerous):
     params = HumanParams(extra={MARGIN: margin})
     _, judged = part.judge(part.init(), params, seen, jnp.zeros((), bool), jax.random.key(0))
     assert bool(judged) is dangerous
+
+
+@pytest.mark.parametrize(("tilt", "dangerous"), [(0.46, True), (-0.46, True), (0.44, False)])
+def test_who_sees_a_stumble_sees_the_tilt(env, tilt, dangerous):
+    seen, *_ = env.step(np.zeros(4))
+    seen = jnp.asarray(seen).at[0].set(tilt)
+    part, params = foresight(), HumanParams(extra={MARGIN: 100.0})
+    _, judged = part.judge(part.init(), params, seen, jnp.zeros((), bool), jax.random.key(0))
+    assert bool(judged) is dangerous
