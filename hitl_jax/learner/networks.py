@@ -158,6 +158,13 @@ class Critics(nn.Module):
         return _StackedDense(self.num_critics, self.num_quantiles)(x)
 
 
+def _hidden(x: chex.Array, sizes: Sequence[int]) -> chex.Array:
+    """What hidden layers of the networks below make of their input; within a compact call."""
+    for size in sizes:
+        x = nn.relu(nn.Dense(size, kernel_init=_kernel_init)(x))
+    return x
+
+
 class BoundaryActor(nn.Module):
     """π_θ(s): the switching boundary of a state (Algorithm 1, line 6).
 
@@ -179,9 +186,7 @@ class BoundaryActor(nn.Module):
             low: least boundary, [].
             high: greatest boundary, [].
         """
-        x = observation
-        for size in self.hidden_sizes:
-            x = nn.relu(nn.Dense(size, kernel_init=_kernel_init)(x))
+        x = _hidden(observation, self.hidden_sizes)
         x = nn.Dense(1, kernel_init=nn.initializers.zeros)(x)[..., 0]
         share = jnp.clip((initial - low) / jnp.maximum(high - low, 1e-6), 1e-3, 1.0 - 1e-3)
         return low + (high - low) * jax.nn.sigmoid(jax.scipy.special.logit(share) + x)
@@ -200,8 +205,7 @@ class BoundaryCritic(nn.Module):
     def __call__(self, observation: chex.Array, boundary: chex.Array) -> chex.Array:
         """Maps observations [..., O] and boundaries [...] to values [...]."""
         x = jnp.concatenate([observation, boundary[..., None]], axis=-1)
-        for size in self.hidden_sizes:
-            x = nn.relu(nn.Dense(size, kernel_init=_kernel_init)(x))
+        x = _hidden(x, self.hidden_sizes)
         return nn.Dense(1, kernel_init=_kernel_init)(x)[..., 0]
 
 
@@ -217,10 +221,7 @@ class AlarmCritic(nn.Module):
     @nn.compact
     def __call__(self, observation: chex.Array) -> chex.Array:
         """Maps observations [..., O] to values [..., 2]."""
-        x = observation
-        for size in self.hidden_sizes:
-            x = nn.relu(nn.Dense(size, kernel_init=_kernel_init)(x))
-        return nn.Dense(2, kernel_init=_kernel_init)(x)
+        return nn.Dense(2, kernel_init=_kernel_init)(_hidden(observation, self.hidden_sizes))
 
 
 class RiskNetwork(nn.Module):
@@ -235,7 +236,5 @@ class RiskNetwork(nn.Module):
     @nn.compact
     def __call__(self, observation: chex.Array) -> chex.Array:
         """Maps observations [..., O] to logits [...]."""
-        x = observation
-        for size in self.hidden_sizes:
-            x = nn.relu(nn.Dense(size, kernel_init=_kernel_init)(x))
+        x = _hidden(observation, self.hidden_sizes)
         return nn.Dense(1, kernel_init=_kernel_init)(x)[..., 0]
