@@ -16,7 +16,8 @@ import numpy as np
 from flax import struct
 
 from hitl_jax.arbiter import FEEDBACK_SCHEDULES, INTERVENTIONS, RELEASES
-from hitl_jax.boundary import SOURCES
+from hitl_jax.boundary import BOUNDARY_LEARNERS, SOURCES
+from hitl_jax.boundary.margin import MARGIN_PARTS
 from hitl_jax.choices.checks import is_whole, require_whole
 from hitl_jax.choices.fields import (
     among,
@@ -28,6 +29,7 @@ from hitl_jax.choices.fields import (
     nested,
     number,
     require_fields,
+    some_of,
     whole,
 )
 from hitl_jax.choices.options import require_names
@@ -47,7 +49,6 @@ from hitl_jax.learner.algorithms import LEARNERS
 from hitl_jax.learner.task_learner import TaskLearner
 from hitl_jax.xla.dense_product import MATMUL_PRECISIONS
 
-BOUNDARY_LEARNERS = ("printed", "margin")
 _MOST_UNITS = 2**20
 _MOST_LAYERS = 16
 _MOST_WEIGHTS = 2**26
@@ -93,8 +94,8 @@ class AgentConfig:
         batch_size: transitions in a minibatch of the task learner.
         n_step: steps of reward before the bootstrap.
         boundary_source: how line 6 and line 8 of Algorithm 1 meet:
-        boundary_learner: how lines 10 to 12 learn: `printed`, with a critic of state and boundary;
-            or `margin`, with a critic of state and alarm.
+        boundary_learner: how lines 10 to 12 learn:
+        margin_parts: what the boundary learner `margin` is made of:
         boundary_hidden_sizes: widths of the boundary networks' hidden layers.
         boundary_batch_size: samples in a minibatch of the boundary learner.
         risk_hidden_sizes: widths of the risk critic's hidden layers.
@@ -120,7 +121,8 @@ class AgentConfig:
     batch_size: int = whole(64, 1, _MOST_UNITS)
     n_step: int = whole(4, 1, _MOST_UNITS)
     boundary_source: str = choice("rule", SOURCES)
-    boundary_learner: str = among("printed", BOUNDARY_LEARNERS)
+    boundary_learner: str = choice("printed", BOUNDARY_LEARNERS)
+    margin_parts: tuple[str, ...] = some_of(MARGIN_PARTS)
     boundary_hidden_sizes: tuple[int, ...] = checked_by((32, 32), _require_layers)
     boundary_batch_size: int = whole(64, 1, _MOST_UNITS)
     risk_hidden_sizes: tuple[int, ...] = checked_by((64, 64), _require_layers)
@@ -176,7 +178,8 @@ class Hyper:
         noise_free_every: of so many training episodes the last is played without action noise, as
             the test will be; 0 is none.
         warmup_steps: environment steps of uniformly random actions before learning.
-        initial_boundary: τ_0.
+        initial_boundary: τ_0. This, the next four numbers of the boundary and its noise are in the
+            safety indicator's unit: rad with the hull's angle, a probability with `fall_risk`.
         delta_minus: Δ⁻, what a true alarm takes from the boundary.
         delta_plus: Δ⁺, what a false alarm adds to it; the gain of `quantile` and `pid`.
         target_rate: what `quantile` and `pid` aim at, a share of the steps.
@@ -207,13 +210,13 @@ class Hyper:
     noise_correlation: float = number(0.8, 0.0, 0.999, unit="1")
     noise_free_every: int = whole(4)
     warmup_steps: int = whole(2000)
-    initial_boundary: float = number(0.7, unit="rad")
-    delta_minus: float = number(1e-3, 0, unit="rad")
-    delta_plus: float = number(1e-3, 0, unit="rad")
+    initial_boundary: float = number(0.7)
+    delta_minus: float = number(1e-3, 0)
+    delta_plus: float = number(1e-3, 0)
     target_rate: float = number(1e-3, 0.0, 1.0, unit="1")
-    boundary_low: float = number(0.05, 0.0, unit="rad")
-    boundary_high: float = number(1.5, unit="rad")
-    boundary_noise: float = number(0.02, 0, unit="rad")
+    boundary_low: float = number(0.05, 0.0)
+    boundary_high: float = number(1.5)
+    boundary_noise: float = number(0.02, 0)
     boundary_actor_learning_rate: float = number(1e-4, 0.0)
     boundary_critic_learning_rate: float = number(1e-3, 0.0)
     risk_learning_rate: float = number(3e-4, 0.0)

@@ -1,5 +1,6 @@
 """How early indicators warn of falls at equal false alarms, and whether risks are true (NumPy)."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,6 +18,10 @@ FALSE_ALARM_SHARES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 NUM_BINS = 10
 """Of risks from 0 to 1."""
 
+RECALLS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
+"""Shares of the steps that a fall follows within `ALARM_WINDOW` steps."""
+
+PRECISION_COUNTS = ("alarms", "timely_alarms")
 WARNING_COUNTS = ("quiet_steps", "false_alarms", "falls", "warned_falls", "lead_steps")
 RELIABILITY_COUNTS = ("steps", "falls_follow")
 
@@ -75,6 +80,33 @@ def count_warnings(size: np.ndarray, to_fall: np.ndarray) -> list[dict[str, Any]
                 "falls": first.size,
                 "warned_falls": int((first >= EARLY).sum()),
                 "lead_steps": int(first.sum()),
+            }
+        )
+    return rows
+
+
+def count_precision(size: np.ndarray, to_fall: np.ndarray) -> list[dict[str, Any]]:
+    """How many of an indicator's alarms come before a fall, where it is as sensitive as others.
+
+    Args:
+        size: |c_t| of all steps of some episodes, or how far it is above a boundary, [T].
+        to_fall: of `steps_to_fall`, [T].
+
+    Returns:
+        For each of `RECALLS` the `recall`, the `boundary` at which at least that share of the steps
+        within `ALARM_WINDOW` steps of a fall has an alarm, and `PRECISION_COUNTS`. Nothing where
+        there is no fall.
+    """
+    near = np.sort(size[to_fall <= ALARM_WINDOW])[::-1]
+    rows = []
+    for recall in RECALLS if near.size else ():
+        boundary = near[min(math.ceil(recall * near.size), near.size) - 1]
+        rows.append(
+            {
+                "recall": recall,
+                "boundary": float(boundary),
+                "alarms": int((size >= boundary).sum()),
+                "timely_alarms": int((near >= boundary).sum()),
             }
         )
     return rows

@@ -139,12 +139,16 @@ def _boundary_rule(config: dict[str, Any]) -> BoundaryRule | None:
     return BoundaryRule(initial, minus, plus, source == "residual")
 
 
+_UNITS = {"hull_angle": "rad", "weighted": "rad", "fall_risk": "probability of a fall"}
+"""Of the indicators, for figures; they import no JAX."""
+
+
 def boundary_label(folder: ResultsFolder) -> str:
     """What an axis of boundaries is called: they have the unit of the folder's indicator."""
     config = flatten(folder.load_config())
     indicators = [value for key, value in config.items() if key.split(".")[-1] == "indicator"]
-    in_radians = set(indicators) <= {"hull_angle"}
-    return "boundary [rad]" if in_radians else literal(f"boundary [unit of {indicators[0]}]")
+    units = {_UNITS.get(name, f"unit of {name}") for name in indicators or ["hull_angle"]}
+    return literal(f"boundary [{' or '.join(sorted(units))}]")
 
 
 def tolerance_in(folder: ResultsFolder) -> float | None:

@@ -1,6 +1,7 @@
-"""Figure 11: how early each indicator warns of falls, and whether the risk is true.
+"""Figure 11: how early each indicator warns of falls, how precisely, and whether the risk is true.
 
-From RESULTS/early_warnings.csv and RESULTS/reliability.csv, of all seeds of a method together.
+From RESULTS/early_warnings.csv, precision.csv and reliability.csv, of all seeds of a method
+together.
 """
 
 from __future__ import annotations
@@ -11,7 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hitl_jax.analysis import stats
-from hitl_jax.analysis.early_warnings import EARLY, RELIABILITY_COUNTS, WARNING_COUNTS
+from hitl_jax.analysis.early_warnings import (
+    EARLY,
+    PRECISION_COUNTS,
+    RELIABILITY_COUNTS,
+    WARNING_COUNTS,
+)
 from hitl_jax.analysis.figure_style import (
     COLOURS,
     GREY,
@@ -32,12 +38,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-WARNINGS, RELIABILITY = "early_warnings.csv", "reliability.csv"
+WARNINGS, RELIABILITY, PRECISION = "early_warnings.csv", "reliability.csv", "precision.csv"
 """In a results folder."""
+
+LEARNED = "learned_boundary"
+"""Beside the indicators: |c_t| − π_θ(s_t), where π_θ is executed."""
 
 _NAME = "figure11_early_warnings"
 _RUN = ("method", "seed")
 WARNING_COLUMNS = (*_RUN, "indicator", "false_alarm_share", "boundary", *WARNING_COUNTS)
+PRECISION_COLUMNS = (*_RUN, "indicator", "recall", "boundary", *PRECISION_COUNTS)
 RELIABILITY_COLUMNS = (*_RUN, "bin", "risk_sum", *RELIABILITY_COUNTS)
 
 _LOOKS: tuple[dict[str, Any], ...] = (
@@ -61,10 +71,11 @@ def draw(folder: ResultsFolder) -> Drawn:
         ResultsError: if the data are damaged.
     """
     warnings = _load(folder.path / WARNINGS, WARNING_COLUMNS)
+    precision = _load(folder.path / PRECISION, PRECISION_COLUMNS)
     reliability = _load(folder.path / RELIABILITY, RELIABILITY_COLUMNS)
 
     def make() -> list[pathlib.Path] | None:
-        figure = _figure(warnings, reliability)
+        figure = _figure(warnings, precision, reliability)
         return None if figure is None else save(figure, folder.path / "figures" / _NAME)
 
     return attempt({_NAME: make})
@@ -122,26 +133,35 @@ def _of(rows: Rows, **wanted: str) -> Rows:
     return {name: values[chosen] for name, values in rows.items()}
 
 
-def _figure(warnings: Rows, reliability: Rows) -> Figure | None:
+def _figure(warnings: Rows, precision: Rows, reliability: Rows) -> Figure | None:
     """None where no indicator has enough falls."""
     methods = [method for method in METHODS if _enough_falls(_of(warnings, method=method))]
     if not methods:
         return None
     tells_risk = bool(reliability["steps"].sum())
-    figure, axes_of = panels(1, len(methods) + tells_risk, (PAGE, 3.2))
-    indicators = list(dict.fromkeys(warnings["indicator"].tolist()))
+    columns = len(methods) + tells_risk
+    figure, axes_of = panels(2, columns, (PAGE, 5.4))
+    above, below = axes_of[:columns], axes_of[columns:]
+    looks_of = dict(zip(dict.fromkeys(warnings["indicator"].tolist()), _LOOKS, strict=False))
     lines = {}
-    for axes, method in zip(axes_of, methods, strict=False):
-        for name, looks in zip(indicators, _LOOKS, strict=False):
+    for warned, precise, method in zip(above, below, methods, strict=False):
+        for name, looks in looks_of.items():
             own = _of(warnings, method=method, indicator=name)
             if len(own["seed"]):
-                lines[name] = _draw_warnings(axes, own, looks, name)
-        axes.set(xscale="log", ylim=(0.0, 1.03), xlabel="false alarms [share of quiet steps]")
-        axes.set_title(method.upper(), fontsize=9, color=COLOURS[method])
+                lines[name] = _draw(warned, own, _WARNED, looks, name)
+                own = _of(precision, method=method, indicator=name)
+                _draw(precise, own, _TIMELY, looks, name)
+        warned.set(xscale="log", ylim=(0.0, 1.03), xlabel="false alarms [share of quiet steps]")
+        warned.set_title(method.upper(), fontsize=9, color=COLOURS[method])
+        precise.set(
+            ylim=(0.0, 1.03), xlabel="steps within 1 s of a fall\nthat have an alarm [share]"
+        )
     early = f"{EARLY / STEPS_PER_SECOND:g} s"
-    axes_of[0].set_ylabel(f"falls warned of\nat least {early} before [share]")
+    above[0].set_ylabel(f"falls warned of\nat least {early} before [share]")
+    below[0].set_ylabel("alarms within 1 s\nof a fall [share]")
     if tells_risk:
-        _draw_reliability(axes_of[-1], reliability)
+        _draw_reliability(above[-1], reliability)
+        below[-1].set_axis_off()
     title = "all seeds together; band and bars: bootstrap 95 % interval over seeds"
     place: dict[str, Any] = {"loc": "outside lower center", "ncols": max(len(lines), 1)}
     figure.legend(handles=list(lines.values()), title=title, **place)
@@ -154,8 +174,15 @@ def _enough_falls(rows: Rows) -> bool:
     return bool(rows["falls"][known & own].sum() >= _FEW)
 
 
-def _draw_warnings(axes: Axes, rows: Rows, looks: dict[str, Any], name: str) -> Any:
-    x, share, low, high = pooled_share(rows, "warned_falls", "falls", "false_alarm_share")
+_WARNED = ("warned_falls", "falls", "false_alarm_share")
+_TIMELY = ("timely_alarms", "alarms", "recall")
+"""Part, whole and what it is told along, of `pooled_share`."""
+
+
+def _draw(
+    axes: Axes, rows: Rows, share_of: tuple[str, str, str], looks: dict[str, Any], name: str
+) -> Any:
+    x, share, low, high = pooled_share(rows, *share_of)
     axes.fill_between(x, low, high, color=looks["color"], alpha=0.15, linewidth=0)
     label = literal(name.replace("_", " "))
     return axes.plot(x, share, markersize=3.5, linewidth=1.4, label=label, **looks)[0]

@@ -2,10 +2,12 @@
 
 from hitl_jax.boundary.delta_rule import alarm, boundary_reward, next_boundary
 from hitl_jax.boundary.learner import BoundaryLearner
+from hitl_jax.boundary.learners import BOUNDARY_LEARNERS
 from hitl_jax.boundary.losses import boundary_actor_loss, boundary_critic_loss
 from hitl_jax.boundary.sources import SOURCES, BoundarySource, Move
 
 __all__ = [
+    "BOUNDARY_LEARNERS",
     "SOURCES",
     "BoundaryLearner",
     "BoundarySource",

@@ -29,6 +29,7 @@ def sample_decisions(
     batch_size: int,
     gamma: chex.Array,
     alarmed: bool = False,
+    span: int = SPAN,
 ) -> BoundaryTransition:
     """Draws samples of one run.
 
@@ -41,6 +42,7 @@ def sample_decisions(
         gamma: γ, [].
         alarmed: static; whether steps in which r'_t is not 0 are sought: each is the first of 16
             draws that is one, or, if none is, any. With ρ = 0 none is ever found.
+        span: static; longest takeover that is looked at. With 1 every step is a sample.
 
     Returns:
         A minibatch, leading axis N; steps in the middle of a takeover do not count, nor does the
@@ -50,7 +52,7 @@ def sample_decisions(
     came = functools.partial(_came, memory, layout, column)
     begin = _begins(memory, layout, column, key, batch_size, alarmed)
 
-    window = begin[:, None] + jnp.arange(SPAN, dtype=jnp.int32)
+    window = begin[:, None] + jnp.arange(span, dtype=jnp.int32)
     ended = came(window, layout.terminated) + came(window, layout.truncated)
     held = (came(window, layout.event) == CUT_OFF) & (ended == 0.0)
     acted = came(window, layout.event) == CUT_OFF
@@ -59,11 +61,12 @@ def sample_decisions(
     lasts = jnp.concatenate([jnp.ones((batch_size, 1), jnp.int32), lasts], axis=1)
     taken = jnp.sum(lasts, axis=1)
     reward = jnp.where(lasts > 0, came(window, layout.reward), 0.0)
-    powers = gamma ** jnp.arange(SPAN, dtype=jnp.int32)
+    powers = gamma ** jnp.arange(span, dtype=jnp.int32)
     terminated = jnp.sum(lasts * came(window, layout.terminated), axis=1)
     seen = memory.seen[column, begin % capacity]
     after = memory.seen[column, (begin + taken) % capacity]
     enough = replay.num_starts(memory, column, SPAN) > 0
+    counts = ~_in_takeover(memory, layout, column, begin) | (span == 1)
     batch = BoundaryTransition(
         observation=seen[:, layout.observation],
         boundary=came(begin, layout.boundary),
@@ -71,7 +74,7 @@ def sample_decisions(
         discount=gamma**taken * (1.0 - jnp.minimum(terminated, 1.0)),
         next_observation=after[:, layout.observation],
         next_boundary=came(begin, layout.next_boundary),
-        counts=(~_in_takeover(memory, layout, column, begin)).astype(jnp.float32),
+        counts=counts.astype(jnp.float32),
         alarmed=came(begin, layout.boundary_reward) != 0.0,
     )
     # Before that the ring has frames of another run, which must not matter.

@@ -9,6 +9,7 @@ P(C | τ) = P(|c| ≥ τ + noise) under the exploration. That is smooth in τ, a
 """
 
 import dataclasses
+import functools
 from typing import Any
 
 import chex
@@ -16,32 +17,42 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from hitl_jax.boundary.decisions import sample_decisions
-from hitl_jax.boundary.learner import BoundaryNetworks
-from hitl_jax.learner import adam, networks, replay
+from hitl_jax.boundary.decisions import SPAN, sample_decisions
+from hitl_jax.boundary.learner import BoundaryNetworks, descend_actor, descend_critic
+from hitl_jax.learner import networks, replay
 from hitl_jax.learner.frame import Layout
 from hitl_jax.learner.losses import Metrics, bootstrap
 from hitl_jax.types import BoundaryState, BoundaryTransition, Params
 
-_CRITICS = 2
+HEAVY_TAILS, OFTEN, TWO_CRITICS, TARGETS, HALF_ALARMS, TAKEOVERS, LINE_8 = MARGIN_PARTS = (
+    "heavy_tails",
+    "often",
+    "two_critics",
+    "targets",
+    "half_alarms",
+    "takeovers",
+    "line_8",
+)
+"""What makes up the learner, each of which can be left out: exploration by Cauchy's noise (else
+normal), four updates in a call of the learner (else one), two critics (else one), targets (else the
+critics themselves), half of each minibatch with alarms (else as they come), a takeover as one
+sample (else single steps), and line 8's move in the target (else none)."""
 
 
-def alarm_probability(margin: chex.Array, scale: chex.Array) -> chex.Array:
-    """P(C): that |c| reaches a boundary with Cauchy noise, [...].
+def alarm_probability(
+    margin: chex.Array, scale: chex.Array, heavy_tails: bool = True
+) -> chex.Array:
+    """P(C): that |c| reaches a boundary with noise, [...].
 
     Args:
         margin: |c| − τ, [...].
         scale: of the noise, [].
+        heavy_tails: whether the noise is Cauchy's, else normal.
     """
-    return 0.5 + jnp.arctan(margin / jnp.maximum(scale, 1e-6)) / jnp.pi
-
-
-def _likely(hyper: Any, indicator: chex.Array, boundary: chex.Array) -> chex.Array:
-    """P(C) of boundaries that are kept within the run's bounds, [...]."""
-    size = jnp.abs(indicator)
-    likely = alarm_probability(size - boundary, hyper.boundary_noise)
-    likely = jnp.where(size < hyper.boundary_low, 0.0, likely)
-    return jnp.where(size >= hyper.boundary_high, 1.0, likely)
+    distance = margin / jnp.maximum(scale, 1e-6)
+    if heavy_tails:
+        return 0.5 + jnp.arctan(distance) / jnp.pi
+    return jax.scipy.stats.norm.cdf(distance)
 
 
 def alarm_values(
@@ -65,10 +76,24 @@ class MarginLearner(BoundaryNetworks):
     The exploration of π_θ is Cauchy's: most of it is small, and now and then it reaches far beyond
     the edge of the alarm, so that both values of a state are learned wherever π_θ is, and line 12
     has a gradient there.
+
+    Attributes:
+        observation_size: O.
+        hidden_sizes: widths of the hidden layers of both networks.
+        parts: of `MARGIN_PARTS`, those that it has.
     """
 
-    num_updates = 4
-    """In one call of the learner."""
+    parts: tuple[str, ...] = MARGIN_PARTS
+
+    @property
+    def num_updates(self) -> int:
+        """In one call of the learner."""
+        return 4 if OFTEN in self.parts else 1
+
+    @property
+    def least_frames(self) -> int:
+        """The replay must hold takeovers to their end."""
+        return 2 * SPAN
 
     @property
     def critic(self) -> networks.AlarmCritic:
@@ -77,22 +102,16 @@ class MarginLearner(BoundaryNetworks):
 
     def noise(self, key: chex.PRNGKey) -> chex.Array:
         """The exploration of π_θ in units of `boundary_noise`, []; the key is consumed."""
-        return jax.random.cauchy(key, (), jnp.float32)
+        if HEAVY_TAILS in self.parts:
+            return jax.random.cauchy(key, (), jnp.float32)
+        return jax.random.normal(key, (), jnp.float32)
 
     def init(self, actor_key: chex.PRNGKey, critic_key: chex.PRNGKey) -> BoundaryState:
         """Random networks and fresh optimisers (line 2); both keys are consumed."""
         observation = jnp.zeros((1, self.observation_size), jnp.float32)
-        actor = self.init_actor(actor_key)
-        critic = jax.vmap(lambda key: self.critic.init(key, observation))(
-            jax.random.split(critic_key, _CRITICS)
-        )
-        return BoundaryState(
-            actor=actor,
-            critic=critic,
-            actor_optimizer=adam.init(actor),
-            critic_optimizer=adam.init(critic),
-            target_critic=critic,
-        )
+        keys = jax.random.split(critic_key, 2 if TWO_CRITICS in self.parts else 1)
+        critic = jax.vmap(lambda key: self.critic.init(key, observation))(keys)
+        return dataclasses.replace(self.start(actor_key, critic), target_critic=critic)
 
     def draw(
         self,
@@ -103,11 +122,14 @@ class MarginLearner(BoundaryNetworks):
         batch_size: int,
         gamma: chex.Array,
     ) -> BoundaryTransition:
-        """Samples of the pool D (line 10), half of them with an alarm as far as some are found."""
-        keys = jax.random.split(key)
-        half = batch_size // 2
-        any_of = sample_decisions(memory, layout, column, keys[0], batch_size - half, gamma)
-        alarmed = sample_decisions(memory, layout, column, keys[1], half, gamma, alarmed=True)
+        """Decisions of the pool D (line 10), half of them alarms as far as some are found."""
+        span = SPAN if TAKEOVERS in self.parts else 1
+        draw = functools.partial(sample_decisions, memory, layout, column, gamma=gamma, span=span)
+        if HALF_ALARMS not in self.parts:
+            return draw(key, batch_size)
+        keys, half = jax.random.split(key), batch_size // 2
+        any_of = draw(keys[0], batch_size - half)
+        alarmed = draw(keys[1], half, alarmed=True)
         both: BoundaryTransition = jax.tree.map(
             lambda *leaves: jnp.concatenate(leaves), any_of, alarmed
         )
@@ -125,37 +147,34 @@ class MarginLearner(BoundaryNetworks):
         if any(leaf is None for leaf in more):
             raise ValueError("samples without indicators and alarms: draw them by draw_boundary")
         target = self._target(hyper, state, batch)
-        grads, metrics = jax.grad(self._critic_loss, has_aux=True)(
+        grads, critic_metrics = jax.grad(self._critic_loss, has_aux=True)(
             state.critic, hyper, batch, target
         )
-        critic, critic_optimizer = adam.descend(
-            state.critic, grads, state.critic_optimizer, hyper.boundary_critic_learning_rate
-        )
-        metrics |= {"boundary_critic_gradient_norm": optax.tree.norm(grads)}
+        state, critic_norm = descend_critic(hyper, state, grads)
         grads, actor_metrics = jax.grad(self._actor_loss, has_aux=True)(
-            state.actor, hyper, critic, batch
+            state.actor, hyper, state.critic, batch
         )
-        actor, actor_optimizer = adam.descend(
-            state.actor, grads, state.actor_optimizer, hyper.boundary_actor_learning_rate
-        )
-        after = BoundaryState(
-            actor=actor,
-            critic=critic,
-            actor_optimizer=actor_optimizer,
-            critic_optimizer=critic_optimizer,
-            target_critic=optax.incremental_update(
-                critic, state.target_critic, hyper.target_step_size
-            ),
-        )
-        metrics |= actor_metrics | {"boundary_actor_gradient_norm": optax.tree.norm(grads)}
-        return after, metrics
+        state, actor_norm = descend_actor(hyper, state, grads)
+        step = hyper.target_step_size if TARGETS in self.parts else 1.0
+        followed = optax.incremental_update(state.critic, state.target_critic, step)
+        state = dataclasses.replace(state, target_critic=followed)
+        return state, critic_metrics | critic_norm | actor_metrics | actor_norm
+
+    def _likely(self, hyper: Any, indicator: chex.Array, boundary: chex.Array) -> chex.Array:
+        """P(C) of boundaries that are kept within the run's bounds, [...]."""
+        size, tails = jnp.abs(indicator), HEAVY_TAILS in self.parts
+        likely = alarm_probability(size - boundary, hyper.boundary_noise, tails)
+        likely = jnp.where(size < hyper.boundary_low, 0.0, likely)
+        return jnp.where(size >= hyper.boundary_high, 1.0, likely)
 
     def _target(self, hyper: Any, state: BoundaryState, batch: BoundaryTransition) -> chex.Array:
         """r_i + γ Q_ω(s_{i+1}, τ') of the target critics, τ' being π_θ(s_{i+1}) moved by line 8."""
         assert batch.next_indicator is not None
         moved = batch.next_boundary - batch.boundary
-        following = self.boundary(hyper, state.actor, batch.next_observation) + moved
-        likely = _likely(hyper, batch.next_indicator, following)
+        following = self.boundary(hyper, state.actor, batch.next_observation)
+        if LINE_8 in self.parts:
+            following += moved
+        likely = self._likely(hyper, batch.next_indicator, following)
         without, with_alarm = alarm_values(
             self.critic.apply, state.target_critic, batch.next_observation
         )
@@ -184,7 +203,7 @@ class MarginLearner(BoundaryNetworks):
         without, with_alarm = alarm_values(self.critic.apply, critic, batch.observation)
         advantage = jax.lax.stop_gradient(jnp.mean(with_alarm - without, axis=0))
         boundary = self.boundary(hyper, actor, batch.observation)
-        likely = _likely(hyper, batch.indicator, boundary)
+        likely = self._likely(hyper, batch.indicator, boundary)
         loss = -jnp.mean(likely * advantage * _weights(batch))
         return loss, {
             "boundary_actor_loss": loss,

@@ -52,12 +52,14 @@ class BoundarySource(NamedTuple):
         advance: maps (carry, what the step told) to the next carry. A test is frozen: Δ⁺ is 0, and
             the carry should stay as it is.
         options: traced numbers of its own, in `Move.extra`.
+        executes_actor: whether τ_t comes from π_θ(s_t).
     """
 
     init: Callable[[chex.Array], chex.Array]
     boundary: Callable[[chex.Array, chex.Array], chex.Array]
     advance: Callable[[chex.Array, Move], chex.Array]
     options: tuple[Option, ...] = ()
+    executes_actor: bool = False
 
 
 SOURCES: Registry[BoundarySource] = Registry(
@@ -75,6 +77,7 @@ def network() -> BoundarySource:
         init=jnp.zeros_like,
         boundary=lambda carry, network: network,
         advance=lambda carry, move: carry,
+        executes_actor=True,
     )
 
 
@@ -88,6 +91,7 @@ def residual() -> BoundarySource:
         init=jnp.zeros_like,
         boundary=lambda carry, network: network + carry,
         advance=lambda carry, move: carry + move.following - move.boundary,
+        executes_actor=True,
     )
 
 

@@ -79,6 +79,20 @@ def among(default: str, allowed: Sequence[str]) -> Any:
     return _field(default, lambda name, value: one_of(name, value, tuple(allowed)))
 
 
+def some_of(allowed: tuple[str, ...]) -> Any:
+    """A field that holds some of these words, each at most once; all of them by default."""
+
+    def check(name: str, value: Any) -> None:
+        if not isinstance(value, tuple):
+            raise InvalidValue(name, name_of(value), f"must be a tuple of {', '.join(allowed)}")
+        for each in value:
+            one_of(name, each, allowed)
+        if len(set(value)) < len(value):
+            raise InvalidValue(name, " ".join(value), "each at most once")
+
+    return _field(allowed, check, lambda: f" {', '.join(allowed)}.")
+
+
 def flag(default: bool) -> Any:
     """A field that is true or false."""
     return _field(default, _require_flag)

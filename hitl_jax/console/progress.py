@@ -106,7 +106,7 @@ class Progress:
 
     def _table(self, headline: str, runs: Sequence[Run]) -> Table:
         table = Table(title=headline, title_justify="left", box=None, pad_edge=False)
-        columns = ("method", "runs", "episodes", "steps", "last 20 returns", "boundary [rad]")
+        columns = ("method", "runs", "episodes", "steps", "last 20 returns", "boundary")
         for index, name in enumerate(columns):
             table.add_column(name, justify="right" if index else "left")
         counts: dict[str, int] = defaultdict(int)

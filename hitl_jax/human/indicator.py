@@ -40,6 +40,25 @@ def sees(observation_size: int) -> Callable[[Any], Any]:
     return declare
 
 
+def in_unit(unit: str) -> Callable[[Any], Any]:
+    """A decorator that says what an indicator, and so the boundary, is measured in.
+
+    Args:
+        unit: for example `rad`; `1` where it has none.
+    """
+
+    def declare(function: Any) -> Any:
+        function.unit = unit
+        return function
+
+    return declare
+
+
+def unit_of(name: str) -> str:
+    """What a registered indicator is measured in; nothing is known of others."""
+    return getattr(INDICATORS.make(name), "unit", "") if name in INDICATORS else ""
+
+
 def sees_risk(function: Any) -> Any:
     """A decorator that says that an indicator is also given the risk of the observation.
 
@@ -57,6 +76,7 @@ def does_see_risk(indicator: Indicator) -> bool:
 
 @INDICATORS.register("hull_angle", "angle of the hull [rad]")
 @sees(WALKER_OBSERVATION)
+@in_unit("rad")
 def hull_angle(observation: chex.Array) -> chex.Array:
     """c_t = the hull's angle against the horizontal [rad]; positive leans back.
 
@@ -69,6 +89,7 @@ def hull_angle(observation: chex.Array) -> chex.Array:
 
 @INDICATORS.register("hull_angular_velocity", "its angular velocity [rad/s]")
 @sees(WALKER_OBSERVATION)
+@in_unit("rad/s")
 def hull_angular_velocity(observation: chex.Array) -> chex.Array:
     """c_t = the hull's angular velocity [rad/s], FPS / 2 = 25 times what the observation holds.
 
@@ -94,6 +115,7 @@ def weighted(angle_weight: chex.Numeric = 1.0, velocity_weight: chex.Numeric = 0
     """
 
     @sees(WALKER_OBSERVATION)
+    @in_unit("rad")
     def indicator(observation: chex.Array) -> chex.Array:
         angle, velocity = hull_angle(observation), hull_angular_velocity(observation)
         return angle_weight * angle + velocity_weight * velocity
@@ -108,6 +130,7 @@ INDICATORS.register("weighted", "angle in 0.1 s if the hull goes on turning as i
 
 @INDICATORS.register("fall_risk", "learned probability of a fall within `risk_horizon` [1]")
 @sees_risk
+@in_unit("1")
 def fall_risk(observation: chex.Array, risk: chex.Array) -> chex.Array:
     """c_t = the risk.
 

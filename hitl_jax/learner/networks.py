@@ -29,7 +29,8 @@ def _dot_general(
 ) -> chex.Array:
     """What a dense layer multiplies with: `product` a minibatch [B, I], Flax's all else."""
     if x.ndim == 2:
-        return product(x, kernel, matmul_precision)
+        # A caller may close over weights of NumPy.
+        return product(x, jnp.asarray(kernel), matmul_precision)
     return jax.lax.dot_general(x, kernel, *others, **named)
 
 

@@ -3,14 +3,13 @@
 from typing import Any, NamedTuple
 
 from hitl_jax.envs.visible_walker import FEET, LIDAR, shapes
-from hitl_jax.human.indicator import INDICATORS
+from hitl_jax.human.indicator import INDICATORS, unit_of
 from hitl_jax.live.session import Session
 from hitl_jax.results.episode_measures import Row
 
 PageUpdate = dict[str, Any]
 """`type`, and the fields of that type."""
 
-_UNITS = {"hull_angle": "rad", "hull_angular_velocity": "1", "weighted": "rad"}
 _ENDS = {"human-reset": "human", "time-limit": "time limit"}
 
 
@@ -41,7 +40,7 @@ def hello(session: Session, options: PageOptions) -> PageUpdate:
         "mode": options.mode,
         "title": options.title,
         "indicator": config.indicator if config.indicator in INDICATORS else "indicator",
-        "unit": _UNITS.get(config.indicator, "1"),
+        "unit": unit_of(config.indicator) or "1",
         "span": 1.0,
         "intervention": config.intervention,
         "answer_seconds": options.answer_seconds,

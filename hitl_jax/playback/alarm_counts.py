@@ -6,11 +6,19 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax.analysis import alarm_figures, warning_figures
 from hitl_jax.analysis.alarms import AlarmCounts, count_alarms, total
-from hitl_jax.analysis.early_warnings import count_reliability, count_warnings, steps_to_fall
+from hitl_jax.analysis.early_warnings import (
+    count_precision,
+    count_reliability,
+    count_warnings,
+    steps_to_fall,
+)
+from hitl_jax.analysis.warning_figures import LEARNED
+from hitl_jax.config import RunHyper, traced
 from hitl_jax.errors import ResultsError
 from hitl_jax.evaluation.host import HostExaminer, play_trial
 from hitl_jax.evaluation.trials import Trial
@@ -48,6 +56,7 @@ def write_alarms(folder: ResultsFolder, episodes: int, say: Callable[[str], None
     tables: dict[str, list[dict[str, Any]]] = {
         alarm_figures.DATA: [],
         warning_figures.WARNINGS: [],
+        warning_figures.PRECISION: [],
         warning_figures.RELIABILITY: [],
     }
     with playing_pool(folder, agent, episodes) as pool:
@@ -59,7 +68,8 @@ def write_alarms(folder: ResultsFolder, episodes: int, say: Callable[[str], None
             counts = walks.alarms(boundaries)
             run = {"method": key.method, "seed": key.seed}
             tables[alarm_figures.DATA] += _rows(run, boundaries, counts)
-            tables[warning_figures.WARNINGS] += [run | row for row in walks.warnings()]
+            tables[warning_figures.WARNINGS] += walks.told(run, count_warnings)
+            tables[warning_figures.PRECISION] += walks.told(run, count_precision)
             reliability = walks.reliability(agent.config.risk_horizon)
             tables[warning_figures.RELIABILITY] += [run | row for row in reliability]
             say(f"{number}/{len(keys)} {key}: {counts.falls} falls")
@@ -74,8 +84,13 @@ def write_alarms(folder: ResultsFolder, episodes: int, say: Callable[[str], None
 _COLUMNS = {
     alarm_figures.DATA: alarm_figures.COLUMNS,
     warning_figures.WARNINGS: warning_figures.WARNING_COLUMNS,
+    warning_figures.PRECISION: warning_figures.PRECISION_COLUMNS,
     warning_figures.RELIABILITY: warning_figures.RELIABILITY_COLUMNS,
 }
+
+
+Count = Callable[[np.ndarray, np.ndarray], list[dict[str, Any]]]
+"""Maps an indicator's size and the steps to a fall, [T] each, to rows."""
 
 
 class _Walks(NamedTuple):
@@ -83,7 +98,8 @@ class _Walks(NamedTuple):
 
     Attributes:
         own: name of the indicator that the run has.
-        sizes: |c_t| of each episode, [T] each, by indicator.
+        sizes: |c_t| of each episode, [T] each, by indicator; and, where π_θ is executed, how far
+            the run's own is above it.
         fell: whether an episode ended in a fall.
     """
 
@@ -96,12 +112,12 @@ class _Walks(NamedTuple):
         episodes = zip(self.sizes[self.own], self.fell, strict=True)
         return total([count_alarms(size, fell, boundaries) for size, fell in episodes])
 
-    def warnings(self) -> list[dict[str, Any]]:
-        """Rows of `count_warnings` of each indicator."""
+    def told(self, run: dict[str, Any], count: Count) -> list[dict[str, Any]]:
+        """Rows of what is counted of each indicator."""
         return [
-            {"indicator": name} | row
+            run | {"indicator": name} | row
             for name, size in self._known().items()
-            for row in count_warnings(np.concatenate(size), self._to_fall())
+            for row in count(np.concatenate(size), self._to_fall())
         ]
 
     def reliability(self, horizon: int) -> list[dict[str, Any]]:
@@ -122,8 +138,9 @@ class _Walks(NamedTuple):
         return steps_to_fall([len(size) for size in self.sizes[self.own]], self.fell)
 
 
-Tell = Callable[[Behavior, np.ndarray], dict[str, jax.Array]]
-"""Maps what acts and observations [N, O] to c_t [N], by indicator; the team's own comes first."""
+Tell = Callable[[Behavior, RunHyper, np.ndarray], dict[str, jax.Array]]
+"""Maps what acts, hyperparameters and observations [N, O] to |c_t| [N], by indicator; the own comes
+first."""
 
 
 def _indicators(agent: Agent) -> Tell:
@@ -131,11 +148,15 @@ def _indicators(agent: Agent) -> Tell:
     beside = _BESIDE if agent.config.observation_size == WALKER_OBSERVATION else ()
     others = {name: INDICATORS.make(name) for name in beside if name != own}
 
-    def tell(params: Behavior, seen: jax.Array) -> dict[str, jax.Array]:
-        told = {name: each(seen) for name, each in others.items()}
-        return {own: agent.safety_indicator(params, seen)} | told
+    def tell(params: Behavior, hyper: RunHyper, seen: jax.Array) -> dict[str, jax.Array]:
+        size = jnp.abs(agent.safety_indicator(params, seen))
+        told = {own: size} | {name: jnp.abs(each(seen)) for name, each in others.items()}
+        if agent.executes_actor:
+            learned = agent.boundary_learner.boundary(traced(hyper), params.boundary_actor, seen)
+            told[LEARNED] = jnp.where(hyper.learns_boundary > 0, size - learned, jnp.nan)
+        return told
 
-    return jax.jit(jax.vmap(tell, in_axes=(None, 0)))
+    return jax.jit(jax.vmap(tell, in_axes=(None, None, 0)))
 
 
 def _walk(tell: Tell, agent: Agent, examiner: HostExaminer, spec: RunSpec, end: Snapshot) -> _Walks:
@@ -143,13 +164,14 @@ def _walk(tell: Tell, agent: Agent, examiner: HostExaminer, spec: RunSpec, end: 
 
     def watch(decided: np.ndarray, active: np.ndarray) -> None:
         del active  # the rows tell how long each episode was
-        steps.append(jax.device_get(tell(end.behavior, decided[:, agent.layout.observation])))
+        seen = decided[:, agent.layout.observation]
+        steps.append(jax.device_get(tell(end.behavior, spec.hyper, seen)))
 
     rows = play_trial(examiner, Trial("autonomous", spec, [end], examiner.num_episodes), watch)
     lengths = [row["length"] for row in rows]
     sizes = {
         name: [
-            np.abs([step[name][walker] for step in steps[:length]])
+            np.array([step[name][walker] for step in steps[:length]])
             for walker, length in enumerate(lengths)
         ]
         for name in steps[0]

@@ -12,6 +12,7 @@ from hitl_jax.config import Method
 from hitl_jax.errors import InvalidValue, ResultsError
 from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import Mode
+from hitl_jax.human.indicator import unit_of
 from hitl_jax.playback import film
 from hitl_jax.playback.episodes import play_tests, playing_pool, training_seed
 from hitl_jax.results.episode_tables import select
@@ -137,7 +138,7 @@ def make_film(
     indicate = jax.vmap(agent.safety_indicator, in_axes=(None, 0))
     indicators = np.asarray(indicate(params, observations))
     name = agent.config.indicator.replace("_", " ")
-    unit = "rad" if agent.config.indicator == "hull_angle" else ""
+    unit = unit_of(agent.config.indicator)
     drawn = film.play(backend, seed, episode.actions)
     pictures = ((picture, total) for (_, picture, _), total in zip(drawn, returns, strict=True))
     caption = film.Caption(title, name, unit, indicators, _SPAN)

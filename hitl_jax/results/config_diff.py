@@ -4,6 +4,7 @@ import json
 import pathlib
 from typing import Any
 
+from hitl_jax.boundary.margin import MARGIN_PARTS
 from hitl_jax.errors import ResultsError
 from hitl_jax.results.provenance import short_commit
 
@@ -17,6 +18,7 @@ CAME_LATER: dict[str, dict[str, Any]] = {
         "human_parts": ["delay", "mistakes", "lapses", "attention"],
         "human_actions": "scripted",
         "boundary_learner": "printed",
+        "margin_parts": list(MARGIN_PARTS),
         "risk_hidden_sizes": [64, 64],
         "risk_batch_size": 64,
         "risk_horizon": 50,

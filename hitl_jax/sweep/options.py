@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from hitl_jax.boundary import BOUNDARY_LEARNERS
 from hitl_jax.choices.checks import (
     one_of,
     require,
@@ -231,5 +232,6 @@ def require_team(agent: AgentConfig, loop: LoopConfig, own: bool = False) -> Non
         has = getattr(AgentConfig(), name)
         require(name, getattr(agent, name), at_least=has, at_most=has)
     loop.require_n_step(agent.n_step)
-    loop.require_decisions(agent.boundary_learner)
+    learner = BOUNDARY_LEARNERS.make(agent.boundary_learner, agent)
+    loop.require_frames(learner.least_frames, agent.boundary_learner)
     loop.num_updates(agent.task_learner.policy_delay)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from hitl_jax import human
 from hitl_jax.arbiter import INTERVENTIONS, RELEASES, Intervention
 from hitl_jax.arbiter.releases import Release
-from hitl_jax.boundary import SOURCES, BoundarySource
+from hitl_jax.boundary import BOUNDARY_LEARNERS, SOURCES, BoundaryLearner, BoundarySource
 from hitl_jax.choices.options import all_options, require_known
 from hitl_jax.config import AgentConfig, Hyper, RunHyper, as_float32, traced, validate_hyper
 from hitl_jax.errors import InvalidValue, blamed_on, name_of
@@ -43,6 +43,7 @@ def make_agent(
     *,
     learner: TaskLearner | None = None,
     boundary_source: BoundarySource | None = None,
+    boundary_learner: BoundaryLearner | None = None,
     intervention: Intervention | None = None,
     release: Release | None = None,
 ) -> Agent:
@@ -55,6 +56,7 @@ def make_agent(
         source: human actions of one's own.
         learner: a task learner of one's own.
         boundary_source: a boundary source of one's own.
+        boundary_learner: a boundary learner of one's own.
         intervention: an intervention of one's own.
         release: an end of takeovers of one's own.
 
@@ -68,6 +70,7 @@ def make_agent(
         "human_actions": source,
         "learner": learner,
         "boundary_source": boundary_source,
+        "boundary_learner": boundary_learner,
         "intervention": intervention,
         "release": release,
     }
@@ -82,6 +85,7 @@ def make_agent(
         source=ACTION_SOURCES.make(chosen["human_actions"], config.action_size),
         learner=LEARNERS.make(chosen["learner"], config),
         boundary_source=SOURCES.make(chosen["boundary_source"]),
+        boundary_learner=BOUNDARY_LEARNERS.make(chosen["boundary_learner"], config),
         intervention=INTERVENTIONS.make(chosen["intervention"]),
         release=RELEASES.make(chosen["release"]),
     )

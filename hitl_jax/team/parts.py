@@ -10,7 +10,6 @@ import jax
 from hitl_jax.arbiter import Intervention
 from hitl_jax.arbiter.releases import Release
 from hitl_jax.boundary import BoundaryLearner, BoundarySource
-from hitl_jax.boundary.margin import MarginLearner
 from hitl_jax.choices.options import Option, all_options, completed
 from hitl_jax.config import AgentConfig, as_float32
 from hitl_jax.human import HumanPart
@@ -33,6 +32,7 @@ class Agent(NamedTuple):
         source: the human's actions a^h.
         learner: the task learner.
         boundary_source: where τ_t comes from.
+        boundary_learner: π_θ and Q_ω.
         intervention: what an intervention does.
         release: what ends a takeover.
     """
@@ -43,16 +43,14 @@ class Agent(NamedTuple):
     source: ActionSource
     learner: TaskLearner
     boundary_source: BoundarySource
+    boundary_learner: BoundaryLearner
     intervention: Intervention
     release: Release
 
     @property
-    def boundary_learner(self) -> BoundaryLearner | MarginLearner:
-        """π_θ and Q_ω."""
-        sizes = self.config.observation_size, self.config.boundary_hidden_sizes
-        if self.config.boundary_learner == "margin":
-            return MarginLearner(*sizes)
-        return BoundaryLearner(*sizes)
+    def executes_actor(self) -> bool:
+        """Whether τ_t comes from π_θ(s_t)."""
+        return self.boundary_source.executes_actor
 
     @property
     def risk_learner(self) -> RiskLearner | None:

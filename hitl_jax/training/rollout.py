@@ -329,7 +329,7 @@ def _check(agent: Agent, pool: WalkerPool, config: LoopConfig) -> None:
     """Raises ValueError where agent, pool and loop do not fit each other."""
     require_sizes(pool, agent.config.observation_size, agent.config.action_size)
     config.require_n_step(agent.config.n_step)
-    config.require_decisions(agent.config.boundary_learner)
+    config.require_frames(agent.boundary_learner.least_frames, agent.config.boundary_learner)
     devices = len(learning_devices())
     if pool.num_walkers % devices:
         raise ValueError(f"{pool.num_walkers} walkers do not divide over {devices} devices")

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitl_jax.boundary.decisions import SPAN
 from hitl_jax.choices.checks import MOST_SEED, is_whole, one_of, require_whole
 from hitl_jax.choices.fields import checked_by, number, require_fields, whole
 from hitl_jax.config import Method, RunHyper, validate_hyper
@@ -68,15 +67,18 @@ class LoopConfig:
             why = f"must be at most {self.frames // 2}, half of capacity"
             raise InvalidValue("n_step", n_step, why, mentions=("capacity",))
 
-    def require_decisions(self, boundary_learner: str) -> None:
-        """Refuses a replay in which a boundary learner finds no takeover to its end.
+    def require_frames(self, least: int, boundary_learner: str) -> None:
+        """Refuses a replay that is too small for a boundary learner.
+
+        Args:
+            least: frames that it needs.
+            boundary_learner: its name.
 
         Raises:
             InvalidValue: one line with the name, the value and what is allowed.
         """
-        least = 2 * SPAN
-        if boundary_learner == "margin" and self.frames < least:
-            why = f"must be at least {least} with boundary_learner margin"
+        if self.frames < least:
+            why = f"must be at least {least} with boundary_learner {boundary_learner}"
             raise InvalidValue("capacity", self.capacity, why, mentions=("boundary_learner",))
 
     def num_updates(self, policy_delay: int) -> int:

@@ -6,6 +6,7 @@ import pytest
 from hitl_jax.analysis.early_warnings import (
     EARLY,
     FALSE_ALARM_SHARES,
+    count_precision,
     count_reliability,
     count_warnings,
     steps_to_fall,
@@ -57,3 +58,14 @@ def test_reliability_by_hand():
     assert rows[0] == {"bin": 0.0, "risk_sum": 0.05, "steps": 2, "falls_follow": 0}
     assert rows[9] == {"bin": 0.9, "risk_sum": 1.95, "steps": 2, "falls_follow": 2}
     assert sum(row["steps"] for row in rows) == 4
+
+
+def test_precision_is_told_where_recall_is_reached():
+    to_fall = steps_to_fall([100, 60], [True, False])
+    size = np.where(to_fall <= 50, 100.0 - to_fall, 0.0)  # 50 to 99 before the fall, rising.
+    size[[0, 110]] = 90.0
+    rows = {row["recall"]: row for row in count_precision(size, to_fall)}
+    assert rows[0.5]["boundary"] == 75.0
+    assert (rows[0.5]["timely_alarms"], rows[0.5]["alarms"]) == (25, 27)
+    assert (rows[0.95]["timely_alarms"], rows[0.95]["alarms"]) == (48, 50)
+    assert count_precision(size, np.full(160, np.inf)) == []

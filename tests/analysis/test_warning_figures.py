@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hitl_jax.analysis import warning_figures
-from hitl_jax.analysis.early_warnings import FALSE_ALARM_SHARES
+from hitl_jax.analysis.early_warnings import FALSE_ALARM_SHARES, RECALLS
 from hitl_jax.analysis.warning_figures import pooled_share
 from hitl_jax.errors import ResultsError
 from hitl_jax.results.folder import ResultsFolder
@@ -39,7 +39,7 @@ def folder(tmp_path):
     warnings = [
         ("hitl-ac", seed, name, share, 0.5, 1000, int(1000 * share), 30, warned, 900)
         for seed in range(3)
-        for name, warned in (("fall_risk", 28), ("hull_angle", 9))
+        for name, warned in (("fall_risk", 28), ("hull_angle", 9), ("learned_boundary", 20))
         for share in FALSE_ALARM_SHARES
     ]
     reliability = [
@@ -47,11 +47,18 @@ def folder(tmp_path):
         for seed in range(3)
         for place in range(10)
     ]
-    _write_both(made, warnings, reliability)
+    _write_all(made, warnings, reliability)
     return made
 
 
-def _write_both(folder, warnings, reliability):
+def _write_all(folder, warnings, reliability):
+    precise = [
+        (*row[:3], recall, 0.5, 100, 90 - 10 * place)
+        for row in warnings
+        for place, recall in enumerate(RECALLS)
+        if row[3] == FALSE_ALARM_SHARES[0]
+    ]
+    _write(folder.path / warning_figures.PRECISION, warning_figures.PRECISION_COLUMNS, precise)
     _write(folder.path / warning_figures.WARNINGS, warning_figures.WARNING_COLUMNS, warnings)
     columns = warning_figures.RELIABILITY_COLUMNS
     _write(folder.path / warning_figures.RELIABILITY, columns, reliability)
@@ -67,7 +74,7 @@ def test_it_is_drawn(folder):
 
 
 def test_without_falls_there_is_nothing_to_draw(folder):
-    _write_both(folder, [], [])
+    _write_all(folder, [], [])
     assert warning_figures.draw(folder).no_data == ["figure11_early_warnings: no data for it"]
 
 

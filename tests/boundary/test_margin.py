@@ -1,5 +1,6 @@
 """The margin's learner: what an alarm is worth, and a boundary that raises it where it is."""
 
+import dataclasses
 import functools
 
 import jax
@@ -15,6 +16,7 @@ from hitl_jax.errors import InvalidValue
 from hitl_jax.learner import replay
 from hitl_jax.learner.frame import CUT_OFF, Layout
 from hitl_jax.team import agent as agents
+from hitl_jax.team.agent import make_agent
 from hitl_jax.training.run_spec import LoopConfig
 from hitl_jax.types import BoundaryTransition
 
@@ -175,6 +177,43 @@ def test_what_a_run_before_has_left_does_not_matter():
     assert all(not np.asarray(leaf).any() for leaf in jax.tree.leaves(batch))
 
 
+@pytest.mark.parametrize("left_out", margin.MARGIN_PARTS)
+def test_each_part_can_be_left_out(left_out):
+    parts = tuple(part for part in margin.MARGIN_PARTS if part != left_out)
+    whole, learner = _LEARNER, dataclasses.replace(_LEARNER, parts=parts)
+    memory, layout = _memory([5, 90])
+    frames = np.zeros((1, 256, layout.width), np.float32)
+    frames[0, 20:30, layout.event] = CUT_OFF
+    frames[0, :, layout.next_boundary] = 0.1
+    frames[0, [20, 90], layout.boundary_reward] = 1.0
+    memory = replay.add(memory, frames)
+
+    def after(one):
+        one = dataclasses.replace(one, observation_size=1)
+        batch = one.draw(memory, layout, 0, jax.random.key(0), 64, jnp.float32(0.9))
+        indicator = jnp.linspace(0.0, 0.1, 64)
+        batch = batch.replace(indicator=indicator, next_indicator=indicator)
+        state = one.init(jax.random.key(1), jax.random.key(2))
+        for _ in range(2):
+            state, _metrics = one.improve(_HYPER, state, batch)
+        noise = one.noise(jax.random.key(3))
+        return one.num_updates, noise, batch.counts, jax.tree.leaves(state.critic)
+
+    def equal(a, b):
+        pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+        return all(np.array_equal(x, y) for x, y in pairs)
+
+    assert not equal(after(whole), after(learner))
+
+
+def test_unknown_parts_are_one_line():
+    with pytest.raises(InvalidValue, match=r"^margin_parts x: must be one of heavy_tails, often"):
+        AgentConfig(margin_parts=("x",))
+    with pytest.raises(InvalidValue, match=r"^margin_parts often often: each at most once$"):
+        AgentConfig(margin_parts=("often", "often"))
+    assert make_agent(AgentConfig(boundary_learner="margin", margin_parts=())).boundary_learner
+
+
 @pytest.mark.parametrize(
     ("size", "boundary"), [(0.02, 0.06), (0.02, 1.49), (1.6, 1.49), (0.5, 0.4)]
 )
@@ -184,7 +223,7 @@ def test_bounds_are_part_of_the_probability(size, boundary):
         jax.random.split(jax.random.key(0), 20_000)
     )
     executed = jnp.clip(boundary + noise, hyper.boundary_low, hyper.boundary_high)
-    told = margin._likely(hyper, jnp.float32(size), jnp.float32(boundary))
+    told = _LEARNER._likely(hyper, jnp.float32(size), jnp.float32(boundary))
     np.testing.assert_allclose((size >= executed).mean(), told, atol=0.01)
 
 
@@ -198,9 +237,8 @@ def test_other_samples_are_refused_in_one_line():
 
 def test_a_replay_that_holds_no_takeover_is_refused():
     with pytest.raises(InvalidValue, match=r"^capacity 96: must be at least 128 with"):
-        LoopConfig(capacity=96).require_decisions("margin")
-    LoopConfig(capacity=96).require_decisions("printed")
-    LoopConfig(capacity=128).require_decisions("margin")
+        LoopConfig(capacity=96).require_frames(_LEARNER.least_frames, "margin")
+    LoopConfig(capacity=128).require_frames(_LEARNER.least_frames, "margin")
 
 
 def test_a_team_learns_with_it():
@@ -232,5 +270,7 @@ def test_a_team_learns_with_it():
 
 
 def test_an_unknown_learner_is_one_line():
-    with pytest.raises(InvalidValue, match=r"^boundary_learner x: must be one of printed, margin$"):
+    with pytest.raises(
+        InvalidValue, match=r"^boundary_learner x: must be one of printed, margin, or"
+    ):
         AgentConfig(boundary_learner="x")

@@ -19,7 +19,7 @@ import small
 from forged import as_of_format_1, rewrite
 from PIL import Image
 
-from hitl_jax.commands import alarms, replay, verify
+from hitl_jax.commands import alarms, assistance, replay, verify
 from hitl_jax.commands.seed_sweep import main
 from hitl_jax.console.cli import run_main
 from hitl_jax.evaluation.host import HostExaminer
@@ -105,6 +105,22 @@ def test_alarms_are_counted_in_the_episodes_of_the_tests(swept):
         assert {int(row["falls"]) for row in rows} == {alone["fall"].sum()}
         assert int(rows[0]["alarms"]) == int(rows[0]["steps"])  # a boundary of 0
     assert (swept / "figures" / "figure8_alarms.png").exists()
+
+
+def test_help_is_measured_on_the_terrains_of_the_tests(swept):
+    assert run_main("assistance", assistance.main, [str(swept), "--episodes", "2"]) == 0
+    rows = list(csv.DictReader((swept / "assistance.csv").read_text().splitlines()))
+    for run in ResultsFolder(swept).load_all():
+        alone = select(run.tests, "mode", "autonomous")
+        own = [row for row in rows if row["method"] == run.key.method]
+        if run.key.method == "srl":
+            assert not own
+            continue
+        assert {row["rule"] for row in own} == {"alone", "fixed boundary", "chance"}
+        assert int(own[0]["steps"]) == alone["length"].sum()
+        assert float(own[0]["return_mean"]) == pytest.approx(alone["return"].mean())
+        assert all(int(row["human_steps"]) <= int(row["steps"]) for row in own)
+    assert (swept / "figures" / "figure12_assistance.png").exists()
 
 
 def _verify(folder, *options):

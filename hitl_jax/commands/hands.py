@@ -1,0 +1,90 @@
+"""Makes the hands that come with the package: `hitl-jax hands`.
+
+Trains a crew of walkers that stumble, then walkers that learn to go on from there, and writes the
+best of these as `trained_walker.npz` (`hitl_jax.studies.hands`). It takes about half an hour on two
+cores; nothing is kept of a run that is interrupted.
+"""
+
+import dataclasses
+import pathlib
+import time
+
+from hitl_jax.choices.checks import require_whole
+from hitl_jax.console.cli import BadInput, checking_input
+from hitl_jax.console.output import say
+from hitl_jax.envs import require_backend
+from hitl_jax.human.trained_walker import FILE
+from hitl_jax.results.atomic_files import write_bytes_atomic
+from hitl_jax.studies import hands
+from hitl_jax.sweep.compile_cache import keep_programs
+from hitl_jax.training.rollout import Rollout
+
+_SECONDS = 60.0
+"""Between two lines of progress."""
+
+
+@dataclasses.dataclass(frozen=True)
+class HandsOptions:
+    """Train a walker that takes over where others stumble.
+
+    Attributes:
+        crew_episodes: training episodes of each walker that stumbles.
+        episodes: training episodes of each that learns to go on.
+        test_episodes: of each.
+        out: folder of the file, made if need be.
+    """
+
+    crew_episodes: int = 400
+    episodes: int = 1500
+    test_episodes: int = 50
+    out: str = "runs/hands"
+
+
+def main(options: HandsOptions) -> int:
+    """Trains, chooses and writes.
+
+    Args:
+        options: how much is trained, and where the file goes.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        BadInput: for options that are not allowed.
+    """
+    out = pathlib.Path(options.out)
+    with checking_input():
+        require_whole("crew_episodes", options.crew_episodes, at_least=4)
+        require_whole("episodes", options.episodes, at_least=1)
+        require_whole("test_episodes", options.test_episodes, at_least=1)
+        require_backend("lean")
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise BadInput(f"--out {options.out}: {error.strerror}") from error
+    keep_programs()
+    tests = options.test_episodes
+    crew = hands.train_crew(options.crew_episodes, tests, _Progress("crew"))
+    trained = hands.train_hands(crew, options.episodes, tests, _Progress("hands"))
+    for one in trained:
+        alone, with_crew = (hands.mean_return(one, mode) for mode in ("autonomous", "assisted"))
+        say(f"seed {one.key.seed}: test {alone:.1f} alone, {with_crew:.1f} with the crew")
+    best = hands.best_hands(trained)
+    write_bytes_atomic(out / FILE, hands.to_npz(best))
+    say(f"seed {best.key.seed}: {out / FILE}")
+    return 0
+
+
+class _Progress:
+    """Says now and then how far a batch is."""
+
+    def __init__(self, name: str):
+        self._name, self._due = name, time.monotonic() + _SECONDS
+
+    def __call__(self, rollout: Rollout) -> None:
+        if time.monotonic() < self._due:
+            return
+        self._due = time.monotonic() + _SECONDS
+        runs = rollout.runs()
+        done = sum(len(run.episodes) for run in runs)
+        say(f"{self._name}: {done} of {sum(run.spec.episodes for run in runs)} episodes")

@@ -1,0 +1,67 @@
+"""Hands: who has the controls when, and that a walker is made and can be read again."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hitl_jax.commands import hands as command
+from hitl_jax.console.cli import run_main
+from hitl_jax.human import HumanParams
+from hitl_jax.human.trained_walker import FILE
+from hitl_jax.learner.networks import Actor
+from hitl_jax.studies.hands import crew_actions, relay
+from hitl_jax.team.checkpoint import hidden_sizes, load_actor
+
+
+def _judged(angle, steps=4000):
+    part = relay()
+    observation = jnp.zeros(24).at[0].set(angle)
+
+    def step(state, key):
+        return part.judge(state, HumanParams(), observation, jnp.zeros((), bool), key)
+
+    keys = jax.random.split(jax.random.key(0), steps)
+    return np.asarray(jax.lax.scan(step, part.begin_episode(part.init()), keys)[1])
+
+
+def test_a_crew_takes_over_at_random_and_gives_back_where_a_stumble_shows():
+    upright, tilted = _judged(0.0), _judged(0.6)
+    assert 0.4 < upright.mean() < 0.8
+    assert upright[0] and not tilted.any()
+    changes = np.diff(upright.astype(int))
+    assert (changes == 1).sum() > 10
+
+
+def test_members_of_a_crew_act_in_turns():
+    actor = Actor((4,), 4)
+    policies = [actor.init(jax.random.key(seed), jnp.zeros(24)) for seed in range(3)]
+    source = crew_actions(policies)
+    seen = jnp.ones(24)
+
+    def step(member, key):
+        member, action = source.act(member, seen, key)
+        return member, (member, action)
+
+    keys = jax.random.split(jax.random.key(0), 1000)
+    _, (members, actions) = jax.lax.scan(step, source.init(), keys)
+    assert set(np.unique(members)) == {0, 1, 2}
+    for member in range(3):
+        own = actor.apply(policies[member], seen)
+        np.testing.assert_allclose(actions[members == member][0], own, rtol=1e-5)
+
+
+def test_hands_are_made_and_read(tmp_path, capsys):
+    words = ["--crew-episodes", "4", "--episodes", "2", "--test-episodes", "1"]
+    out = tmp_path / "hands"
+    assert run_main("hands", command.main, [*words, "--out", str(out)]) == 0
+    assert capsys.readouterr().out.count("with the crew") == 4
+    actor = load_actor(out / FILE, 24, 4)
+    assert hidden_sizes(actor) == (128, 128, 4)
+
+
+def test_bad_options_are_one_line(tmp_path, capsys):
+    assert run_main("hands", command.main, ["--crew-episodes", "3"]) == 2
+    assert "error: --crew-episodes 3: must be at least 4" in capsys.readouterr().err
+    (tmp_path / "file").touch()
+    assert run_main("hands", command.main, ["--out", str(tmp_path / "file")]) == 2
+    assert "error: --out" in capsys.readouterr().err
