@@ -112,7 +112,7 @@ def once(control):
     return control
 
 
-def how_often(control, ended, intervened):
+def how_often(control, began, ended, intervened):
     return 3
 
 

@@ -119,7 +119,8 @@ class FrameStore:
             stands = np.isin(self._label[places], [label.number for label in labels])
         control, live = flags["control"][places] & stands, flags["live"][places]
         feedback = np.float32(self._hyper.feedback)
-        shaped = shaped_reward(self._reward[places], control, feedback, "step", control, control)
+        given = "step", control, control, control
+        shaped = shaped_reward(self._reward[places], control, feedback, *given)
         ended, cut, reset, acted = (
             flags[name][places]
             for name in ("terminated", "truncated", "human_reset", "human_action")

@@ -69,7 +69,7 @@ def _try_schedule(name: str) -> None:
     schedule, blamed = FEEDBACK_SCHEDULES.make(name), Blamed("feedback_schedule", name)
     for shape in ((2, 3), (3,)):
         with blamed_on(*blamed):
-            where = schedule(*(np.zeros(shape, bool) for _ in range(3)))
+            where = schedule(*(np.zeros(shape, bool) for _ in range(4)))
         blamed.require(where, "a truth value for each step", shape, real=False)
 
 

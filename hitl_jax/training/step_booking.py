@@ -176,7 +176,8 @@ def frames_of(
     ended = _ended(terminated, truncated, human_reset)
     so_far, intervened = _intervened(control, ended, intervened)
     reward, schedule = frames[..., layout.reward], config.feedback_schedule
-    shaped = shaped_reward(reward, control, feedback[:, None], schedule, ended, so_far)
+    began = live & flag_of(steps, layout, "began")
+    shaped = shaped_reward(reward, control, feedback[:, None], schedule, began, ended, so_far)
     human_action = flag_of(steps, layout, "human_action")
     event = event_of(reward, terminated, truncated, human_reset, human_action, ends)
     frames[..., layout.event] = np.where(live, event, GOES_ON)
@@ -201,9 +202,8 @@ def episode_of(steps: np.ndarray, layout: Layout, config: AgentConfig, hyper: Ru
     ended = np.zeros(len(steps), bool)
     ended[-1] = True
     so_far = np.logical_or.accumulate(control)
-    shaped = shaped_reward(
-        reward, control, float(hyper.feedback), config.feedback_schedule, ended, so_far
-    )
+    feedback, schedule = float(hyper.feedback), config.feedback_schedule
+    shaped = shaped_reward(reward, control, feedback, schedule, flags.began, ended, so_far)
     known = hyper.has_arbiter > 0
     return Episode(
         reward=reward,

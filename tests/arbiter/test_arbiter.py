@@ -53,12 +53,17 @@ def test_unknown_intervention():
 
 @pytest.mark.parametrize(
     ("schedule", "expected"),
-    # Rewards 1, 1, 1; u = (0, 1, 0); the episode ends with the third step; feedback -20.
-    [("step", [1.0, -19.0, 1.0]), ("episode", [1.0, 1.0, -19.0])],
+    # Rewards 1, 1, 1; u = (1, 1, 0); the episode ends with the third step; feedback -20.
+    [
+        ("step", [-19.0, -19.0, 1.0]),
+        ("onset", [-19.0, 1.0, 1.0]),
+        ("episode", [1.0, 1.0, -19.0]),
+    ],
 )
 def test_equation_7(schedule, expected):
-    control = np.array([False, True, False])
-    intervened = np.array([False, True, True])
+    control = np.array([True, True, False])
+    began = np.array([True, False, False])
+    intervened = np.array([True, True, True])
     ended = np.array([False, False, True])
-    given = arbiter.shaped_reward(np.ones(3), control, -20.0, schedule, ended, intervened)
+    given = arbiter.shaped_reward(np.ones(3), control, -20.0, schedule, began, ended, intervened)
     np.testing.assert_array_equal(given, expected)

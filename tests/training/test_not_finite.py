@@ -81,12 +81,12 @@ def test_what_follows_an_episode_is_not_in_its_return(bad):
     np.testing.assert_array_equal(drawn.discount, 0.0)
 
 
-@pytest.mark.parametrize("schedule", ["step", "episode"])
+@pytest.mark.parametrize("schedule", ["step", "onset", "episode"])
 @pytest.mark.parametrize("module", [np, jnp])
 def test_feedback_that_is_not_given_is_not_in_a_reward(schedule, module):
     reward = module.array([1.0, -0.0], np.float32)
     never = module.zeros(2, bool)
-    shaped = arbiter.shaped_reward(reward, never, np.nan, schedule, never, never)
+    shaped = arbiter.shaped_reward(reward, never, np.nan, schedule, never, never, never)
     np.testing.assert_array_equal(shaped, [1.0, 0.0])
     assert np.signbit(shaped).tolist() == [False, True]
 

@@ -108,7 +108,9 @@ def test_what_became_of_the_machines_walk_is_stored(event, flags):
     assert frames[0, 0, _LAYOUT.event] == (GOES_ON if event == GOES_ON else CUT_OFF)
 
 
-@pytest.mark.parametrize(("schedule", "total"), [("step", -17.0), ("episode", -7.0)])
+@pytest.mark.parametrize(
+    ("schedule", "total"), [("step", -17.0), ("onset", -7.0), ("episode", -7.0)]
+)
 def test_an_episode_tells_both_rewards(schedule, total):
     config = AgentConfig(feedback_schedule=schedule)
     steps = _steps(3, _LOGGED, control=[0, 1], began=[0], terminated=[2])
