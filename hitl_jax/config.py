@@ -177,6 +177,8 @@ class Hyper:
             starts from 0 in every episode.
         noise_free_every: of so many training episodes the last is played without action noise, as
             the test will be; 0 is none.
+        unattended_every: of so many training episodes the last is walked without the human, as the
+            test will be: no alarm is raised; 0 is none.
         warmup_steps: environment steps of uniformly random actions before learning.
         initial_boundary: τ_0. This, the next four numbers of the boundary and its noise are in the
             safety indicator's unit: rad with the hull's angle, a probability with `fall_risk`.
@@ -209,6 +211,7 @@ class Hyper:
     exploration_noise: float = number(0.3, 0)
     noise_correlation: float = number(0.8, 0.0, 0.999, unit="1")
     noise_free_every: int = whole(4)
+    unattended_every: int = whole(0)
     warmup_steps: int = whole(2000)
     initial_boundary: float = number(0.7)
     delta_minus: float = number(1e-3, 0)

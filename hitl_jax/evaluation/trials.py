@@ -178,6 +178,7 @@ def frozen(hyper: RunHyper, human_present: bool) -> RunHyper:
         feedback=0.0,
         exploration_noise=0.0,
         boundary_noise=0.0,
+        unattended_every=0,
         warmup_steps=0,
         delta_minus=0.0,
         delta_plus=0.0,

@@ -23,7 +23,12 @@ CAME_LATER: dict[str, dict[str, Any]] = {
         "risk_batch_size": 64,
         "risk_horizon": 50,
     },
-    "hyper": {"human": {"extra": {}}, "extra": {}, "risk_learning_rate": 3e-4},
+    "hyper": {
+        "human": {"extra": {}},
+        "extra": {},
+        "risk_learning_rate": 3e-4,
+        "unattended_every": 0,
+    },
 }
 """Choices added since results were kept, by section, and the value that changes nothing."""
 

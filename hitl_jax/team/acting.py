@@ -137,7 +137,8 @@ def act(
         state.human, hyper.human, observation, jnp.zeros((), bool), human_key
     )
     indicator = as_float32(agent.safety_indicator(params, observation))
-    judged = _judge(hyper, indicator, boundary_now, jnp.asarray(dangerous, bool))
+    attended = ~_is_last_of(state.episodes, hyper.unattended_every) & (hyper.has_arbiter > 0)
+    judged = _judge(hyper, indicator, boundary_now, jnp.asarray(dangerous, bool), attended)
     arbiter_state, ruling = _rule(agent, hyper, state, judged)
     carry = _advance(agent, hyper, state, judged, ruling)
 
@@ -195,9 +196,10 @@ def _judge(
     indicator: chex.Array,
     boundary_now: chex.Array,
     dangerous: chex.Array,
+    attended: chex.Array,
 ) -> _Judged:
     """The alarm, where line 8 moves the boundary, and the alarm's reward."""
-    alarmed = boundary.alarm(indicator, boundary_now) & (hyper.has_arbiter > 0)
+    alarmed = boundary.alarm(indicator, boundary_now) & attended
     after = following(hyper, boundary_now, alarmed, dangerous)
     reward = boundary.boundary_reward(alarmed, dangerous, hyper.alarm_reward)
     return _Judged(boundary_now, indicator, alarmed, dangerous, after, reward)
@@ -286,11 +288,15 @@ def _explore(
     rho = hyper.noise_correlation
     fresh = jax.random.normal(key, state.noise.shape, jnp.float32)
     noise = rho * state.noise + jnp.sqrt(1.0 - rho**2) * fresh
-    every = hyper.noise_free_every
-    noise_free = (every > 0) & (state.episodes % jnp.maximum(every, 1) == 0)
+    noise_free = _is_last_of(state.episodes, hyper.noise_free_every)
     scale = jnp.where(noise_free, 0.0, hyper.exploration_noise)
     action = agent.learner.act(hyper, actor, observation, noise, scale)
     return noise, jnp.clip(action, -1.0, 1.0)
+
+
+def _is_last_of(episodes: chex.Array, every: chex.Array) -> chex.Array:
+    """Whether the episode under way, the `episodes`-th, is the last of `every`; never of 0."""
+    return (every > 0) & (episodes % jnp.maximum(every, 1) == 0)
 
 
 def _boundary(

@@ -8,6 +8,7 @@ import pytest
 
 from hitl_jax import human
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.evaluation import trials
 from hitl_jax.human import actions as human_actions
 from hitl_jax.learner import replay
 from hitl_jax.team import acting
@@ -324,6 +325,23 @@ def test_every_so_many_episodes_are_noise_free():
         state, decision = acting.act(agent, hyper, params, state, observation)
         noise_free.append(bool(jnp.all(decision.action == greedy)))
     assert noise_free == [False, False, True, False, False, True, False]
+
+
+def test_every_so_many_episodes_are_walked_without_the_human_but_no_tests():
+    agent = agents.make_agent(AgentConfig(intervention="takeover"))
+    params = agents.behavior(agents.init(agent, jax.random.key(1)))
+    hyper = hyper_for(Method.HITL_FIX, Hyper(unattended_every=2))
+    for each, expected in (
+        (hyper, [True, False, True, False]),
+        (trials.frozen(hyper, human_present=True), [True] * 4),
+    ):
+        state, attended = acting.init_acting(agent, each, jax.random.key(0)), []
+        for _ in expected:
+            state = acting.begin_episode(agent, state)
+            state, decision = acting.act(agent, each, params, state, _walk([0.9])[0])
+            assert decision.alarmed == decision.control == (decision.boundary_reward != 0.0)
+            attended.append(bool(decision.control))
+        assert attended == expected
 
 
 def test_updates_must_keep_step_with_the_policy_delay():
