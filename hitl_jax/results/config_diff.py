@@ -4,7 +4,6 @@ import json
 import pathlib
 from typing import Any
 
-from hitl_jax.boundary.margin import MARGIN_PARTS
 from hitl_jax.errors import ResultsError
 from hitl_jax.results.provenance import short_commit
 
@@ -18,7 +17,10 @@ CAME_LATER: dict[str, dict[str, Any]] = {
         "human_parts": ["delay", "mistakes", "lapses", "attention"],
         "human_actions": "scripted",
         "boundary_learner": "printed",
-        "margin_parts": list(MARGIN_PARTS),
+        "margin_parts": [
+            *("heavy_tails", "often", "two_critics", "targets"),
+            *("half_alarms", "takeovers", "line_8"),
+        ],
         "risk_hidden_sizes": [64, 64],
         "risk_batch_size": 64,
         "risk_horizon": 50,

@@ -1,15 +1,15 @@
-"""Hands: who has the controls when, and that a walker is made and can be read again."""
+"""The trained human: who has the controls when, and that both files are made and can be read."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax.commands import hands as command
+from hitl_jax.commands import human as command
 from hitl_jax.console.cli import run_main
-from hitl_jax.human import HumanParams
+from hitl_jax.human import HumanParams, experience
 from hitl_jax.human.trained_walker import FILE
 from hitl_jax.learner.networks import Actor
-from hitl_jax.studies.hands import crew_actions, relay
+from hitl_jax.studies.trained_human import crew_actions, relay
 from hitl_jax.team.checkpoint import hidden_sizes, load_actor
 
 
@@ -50,18 +50,20 @@ def test_members_of_a_crew_act_in_turns():
         np.testing.assert_allclose(actions[members == member][0], own, rtol=1e-5)
 
 
-def test_hands_are_made_and_read(tmp_path, capsys):
-    words = ["--crew-episodes", "4", "--episodes", "2", "--test-episodes", "1"]
+def test_both_files_are_made_and_read(tmp_path, capsys):
+    words = ["--crew-episodes", "8", "--episodes", "2", "--test-episodes", "1"]
     out = tmp_path / "hands"
-    assert run_main("hands", command.main, [*words, "--out", str(out)]) == 0
+    assert run_main("human", command.main, [*words, "--out", str(out)]) == 0
     assert capsys.readouterr().out.count("with the crew") == 4
     actor = load_actor(out / FILE, 24, 4)
     assert hidden_sizes(actor) == (128, 128, 4)
+    with np.load(out / experience.FILE) as arrays:
+        assert arrays["network/params/Dense_2/kernel"].shape == (64, 1)
 
 
 def test_bad_options_are_one_line(tmp_path, capsys):
-    assert run_main("hands", command.main, ["--crew-episodes", "3"]) == 2
-    assert "error: --crew-episodes 3: must be at least 4" in capsys.readouterr().err
+    assert run_main("human", command.main, ["--crew-episodes", "7"]) == 2
+    assert "error: --crew-episodes 7: must be at least 8" in capsys.readouterr().err
     (tmp_path / "file").touch()
-    assert run_main("hands", command.main, ["--out", str(tmp_path / "file")]) == 2
+    assert run_main("human", command.main, ["--out", str(tmp_path / "file")]) == 2
     assert "error: --out" in capsys.readouterr().err

@@ -1,8 +1,9 @@
-"""Makes the hands that come with the package: `hitl-jax hands`.
+"""Makes the trained human that comes with the package: `hitl-jax human`.
 
-Trains a crew of walkers that stumble, then walkers that learn to go on from there, and writes the
-best of these as `trained_walker.npz` (`hitl_jax.studies.hands`). It takes about half an hour on two
-cores; nothing is kept of a run that is interrupted.
+Trains a crew of walkers that stumble, and fits what a human expects of a pose to what came of
+theirs: `experience.npz`. Then it trains walkers that learn to go on from there, and writes the best
+of these: `trained_walker.npz` (`hitl_jax.studies.trained_human`). It takes about half an hour on
+two cores; what is interrupted begins again.
 """
 
 import dataclasses
@@ -13,9 +14,10 @@ from hitl_jax.choices.checks import require_whole
 from hitl_jax.console.cli import BadInput, checking_input
 from hitl_jax.console.output import say
 from hitl_jax.envs import require_backend
-from hitl_jax.human.trained_walker import FILE
+from hitl_jax.human import experience, shipped_network
+from hitl_jax.human.trained_walker import FILE, PREFIX
 from hitl_jax.results.atomic_files import write_bytes_atomic
-from hitl_jax.studies import hands
+from hitl_jax.studies import trained_human as study
 from hitl_jax.sweep.compile_cache import keep_programs
 from hitl_jax.training.rollout import Rollout
 
@@ -24,23 +26,23 @@ _SECONDS = 60.0
 
 
 @dataclasses.dataclass(frozen=True)
-class HandsOptions:
-    """Train a walker that takes over where others stumble.
+class HumanOptions:
+    """Train a human who foresees falls, and whose hands can walk on.
 
     Attributes:
         crew_episodes: training episodes of each walker that stumbles.
         episodes: training episodes of each that learns to go on.
         test_episodes: of each.
-        out: folder of the file, made if need be.
+        out: folder of the files, made if need be.
     """
 
     crew_episodes: int = 400
     episodes: int = 1500
     test_episodes: int = 50
-    out: str = "runs/hands"
+    out: str = "runs/human"
 
 
-def main(options: HandsOptions) -> int:
+def main(options: HumanOptions) -> int:
     """Trains, chooses and writes.
 
     Args:
@@ -54,7 +56,7 @@ def main(options: HandsOptions) -> int:
     """
     out = pathlib.Path(options.out)
     with checking_input():
-        require_whole("crew_episodes", options.crew_episodes, at_least=4)
+        require_whole("crew_episodes", options.crew_episodes, at_least=8)
         require_whole("episodes", options.episodes, at_least=1)
         require_whole("test_episodes", options.test_episodes, at_least=1)
         require_backend("lean")
@@ -64,14 +66,19 @@ def main(options: HandsOptions) -> int:
             raise BadInput(f"--out {options.out}: {error.strerror}") from error
     keep_programs()
     tests = options.test_episodes
-    crew = hands.train_crew(options.crew_episodes, tests, _Progress("crew"))
-    trained = hands.train_hands(crew, options.episodes, tests, _Progress("hands"))
+    crew = study.train_crew(options.crew_episodes, tests, _Progress("crew"))
+    expects = study.gain_experience(crew, tests, say)
+    data = shipped_network.to_npz(expects, experience.PREFIX)
+    write_bytes_atomic(out / experience.FILE, data)
+    trained = study.train_hands(crew, options.episodes, tests, _Progress("hands"))
     for one in trained:
-        alone, with_crew = (hands.mean_return(one, mode) for mode in ("autonomous", "assisted"))
+        alone, with_crew = (study.mean_return(one, mode) for mode in ("autonomous", "assisted"))
         say(f"seed {one.key.seed}: test {alone:.1f} alone, {with_crew:.1f} with the crew")
-    best = hands.best_hands(trained)
-    write_bytes_atomic(out / FILE, hands.to_npz(best))
-    say(f"seed {best.key.seed}: {out / FILE}")
+    best = study.best_hands(trained)
+    actor = best.finished.train.learner.actor
+    path = out / FILE
+    write_bytes_atomic(path, shipped_network.to_npz(actor, PREFIX))
+    say(f"{out / experience.FILE}\n{path}: seed {best.key.seed}")
     return 0
 
 

@@ -1,37 +1,46 @@
-"""How the hands that come with the package are made: a walker that goes on where others stumble.
+"""How the trained human that comes with the package is made: what they expect, and their hands.
 
-A crew of mediocre walkers is trained first. Then new walkers learn to walk while members of the
-crew take the controls now and then, and give them back where a stumble shows, or at some time
-before. What a member does is in the replay, so that a walker learns from it, and what it learns is
-to recover. Of several, the one whose tests with the crew have the greatest return becomes the hands
+A crew of mediocre walkers is trained first. What came of the poses of its members is what the human
+has seen (`human.experience`). Then new walkers learn to walk while members of the crew take the
+controls now and then, and give them back where a stumble shows, or at some time before. What a
+member does is in the replay, so that a walker learns from it, and what it learns is to recover. Of
+several, the one whose tests with the crew have the greatest return becomes the hands
 (`human.trained_walker`).
 """
 
-import io
+import functools
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 
+from hitl_jax.analysis.early_warnings import steps_to_fall
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.envs import make_pool
+from hitl_jax.evaluation.host import HostExaminer, play_trial
+from hitl_jax.evaluation.trials import Trial
 from hitl_jax.human.actions import ActionSource
 from hitl_jax.human.foresight import overreach
 from hitl_jax.human.indicator import WALKER_OBSERVATION, hull_angle
 from hitl_jax.human.params import HumanParams
 from hitl_jax.human.part import HumanPart, unmoved
-from hitl_jax.learner.networks import Actor
+from hitl_jax.learner import adam
+from hitl_jax.learner.networks import Actor, RiskNetwork
+from hitl_jax.results.episode_measures import ALARM_WINDOW
 from hitl_jax.sweep.train_and_test import Batch, Tested, Walkers, train_and_test
 from hitl_jax.team.agent import Agent, make_agent
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec
 from hitl_jax.types import Params
 
-CREW_SEEDS, HANDS_SEEDS = range(100, 110), range(120, 124)
-"""None of those that a sweep reports."""
+CREW_SEEDS, HANDS_SEEDS = range(1000, 1010), range(1010, 1014)
+"""None of those that a sweep reports or is tuned on."""
 
-_SNAPSHOTS = 4
+_SNAPSHOTS = 8
 """Of each member's training; each is one of the crew."""
 
 _RELIEF = 0.02
@@ -45,6 +54,13 @@ _OVERREACH = (2.0, 3.6)
 
 _TILT, _TILT_SPAN = 0.25, 0.16
 """Least tilt at which a member gives back, and by how much that grows with the overreach [rad]."""
+
+EXPERIENCE_SIZES = (64, 64)
+"""Hidden layers of what the human expects."""
+
+_BATCH, _LEARNING_RATE, _UPDATES = 512, 1e-3, 20_000
+
+_CREW = AgentConfig(learner="ddpg")
 
 _HYPER = Hyper(
     boundary_low=0.0,
@@ -67,7 +83,7 @@ def train_crew(episodes: int, test_episodes: int, watch: Watch) -> list[Tested]:
     points = tuple(episodes * part // _SNAPSHOTS for part in range(1, _SNAPSHOTS + 1))
     hyper = hyper_for(Method.SRL, Hyper())
     specs = [RunSpec(Method.SRL, seed, hyper, episodes, points) for seed in CREW_SEEDS]
-    agent = make_agent(AgentConfig(learner="ddpg"))
+    agent = make_agent(_CREW)
     return _trained("crew", agent, specs, test_episodes, watch)
 
 
@@ -97,6 +113,75 @@ def _trained(
     return list(train_and_test(Batch(name, agent, specs, LoopConfig(), walkers), watch))
 
 
+def gain_experience(crew: Sequence[Tested], episodes: int, say: Callable[[str], None]) -> Params:
+    """Fits what a human expects to what came of the crew's poses, when each member walked alone.
+
+    Args:
+        crew: of `train_crew`.
+        episodes: that are watched of each member.
+        say: is told how much was seen, and the loss at the end.
+
+    Returns:
+        Parameters of a `RiskNetwork` of `EXPERIENCE_SIZES`.
+    """
+    agent = make_agent(_CREW)
+    seen: list[np.ndarray] = []
+    falls: list[np.ndarray] = []
+    with make_pool("lean", episodes * _SNAPSHOTS) as pool:
+        examiner = HostExaminer(agent, pool)
+        for one in crew:
+            run = one.finished.run
+            poses, to_fall = _watched(
+                examiner, Trial("autonomous", run.spec, run.snapshots, episodes)
+            )
+            seen.append(poses)
+            falls.append(to_fall <= ALARM_WINDOW)
+    poses, fell = np.concatenate(seen), np.concatenate(falls)
+    params, loss = _fitted(jnp.asarray(poses), jnp.asarray(fell, jnp.float32), jax.random.key(0))
+    say(f"seen {len(poses):,} poses, {fell.mean():.3f} of them within a second of a fall")
+    say(f"loss {loss:.4f}")
+    return params
+
+
+def _watched(examiner: HostExaminer, trial: Trial) -> tuple[np.ndarray, np.ndarray]:
+    """Poses [T, O] of all episodes of a trial, one after the other, and the steps to a fall [T]."""
+    steps: list[np.ndarray] = []
+
+    def watch(decided: np.ndarray, active: np.ndarray) -> None:
+        del active  # The rows tell how long each episode was.
+        steps.append(decided[:, :WALKER_OBSERVATION].copy())
+
+    rows = play_trial(examiner, trial, watch)
+    poses = [
+        np.stack([step[walker] for step in steps[: row["length"]]])
+        for walker, row in enumerate(rows)
+    ]
+    lengths, fell = [row["length"] for row in rows], [bool(row["fall"]) for row in rows]
+    return np.concatenate(poses), steps_to_fall(lengths, fell)
+
+
+@functools.partial(jax.jit, donate_argnums=())
+def _fitted(poses: chex.Array, fell: chex.Array, key: chex.PRNGKey) -> tuple[Params, chex.Array]:
+    """A network that is fitted to what came, and its loss at the end."""
+    network, first = RiskNetwork(EXPERIENCE_SIZES), jax.random.split(key)
+    params = network.init(first[0], poses[:1])
+
+    def loss(params: Params, index: chex.Array) -> chex.Array:
+        logits = network.apply(params, poses[index])
+        return optax.sigmoid_binary_cross_entropy(logits, fell[index]).mean()
+
+    def step(state: Any, key: chex.PRNGKey) -> tuple[Any, chex.Array]:
+        params, optimizer = state
+        index = jax.random.randint(key, (_BATCH,), 0, len(poses))
+        value, grads = jax.value_and_grad(loss)(params, index)
+        return adam.descend(params, grads, optimizer, jnp.float32(_LEARNING_RATE)), value
+
+    state, losses = jax.lax.scan(
+        step, (params, adam.init(params)), jax.random.split(first[1], _UPDATES)
+    )
+    return state[0], losses[-_UPDATES // 10 :].mean()
+
+
 def mean_return(one: Tested, mode: str) -> float:
     """Mean return of a run's tests alone (`autonomous`), or with the crew (`assisted`)."""
     return float(np.mean([row["return"] for row in one.tests if row["mode"] == mode]))
@@ -105,19 +190,6 @@ def mean_return(one: Tested, mode: str) -> float:
 def best_hands(hands: Sequence[Tested]) -> Tested:
     """Those whose tests with the crew have the greatest return."""
     return max(hands, key=lambda one: mean_return(one, "assisted"))
-
-
-def to_npz(hands: Tested) -> bytes:
-    """The actor as a file like a run's params.npz."""
-    layers = hands.finished.train.learner.actor["params"]
-    arrays = {
-        f"actor/params/{layer}/{part}": np.asarray(array)
-        for layer, parts in layers.items()
-        for part, array in parts.items()
-    }
-    data = io.BytesIO()
-    np.savez(data, **arrays)  # type: ignore[arg-type]
-    return data.getvalue()
 
 
 def relay() -> HumanPart:

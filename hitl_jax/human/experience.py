@@ -1,0 +1,42 @@
+"""A danger model that has seen many walkers fall, and knows how it looks before.
+
+People foresee a fall from the pose. This one was fitted to walkers of its own, in training for a
+while, and what came of each of their poses (`hitl-jax human`). It looks at one observation, and at
+nothing that the learner of a run knows.
+"""
+
+import chex
+import jax
+
+from hitl_jax.choices.options import Option
+from hitl_jax.human import shipped_network
+from hitl_jax.human.danger import DANGER_MODELS
+from hitl_jax.human.indicator import WALKER_OBSERVATION
+from hitl_jax.human.params import HumanParams
+from hitl_jax.human.part import HumanPart, memoryless
+from hitl_jax.learner.networks import RiskNetwork
+
+FILE, PREFIX = "experience.npz", "network"
+"""Where its parameters are: of a `RiskNetwork`."""
+
+LEAST = "least_expectation"
+"""Name of the option, in `HumanParams.extra`."""
+
+
+@DANGER_MODELS.register(
+    "experienced", "to one who has seen many walkers fall, a fall within a second looks likely"
+)
+def experienced() -> HumanPart:
+    """Danger is a fall within a second that is expected with at least `least_expectation`."""
+    network, (*hidden, _) = shipped_network.load(FILE, PREFIX)
+    expects = RiskNetwork(tuple(hidden))
+
+    def rule(
+        params: HumanParams, observation: chex.Array, dangerous: chex.Array, key: chex.PRNGKey
+    ) -> chex.Array:
+        del dangerous, key
+        logit: chex.Array = expects.apply(network, observation)
+        return jax.nn.sigmoid(logit) >= params.extra[LEAST]
+
+    least = Option(LEAST, 0.1, "probability from which a fall is expected", "1", 0.0, 1.0)
+    return memoryless(rule, WALKER_OBSERVATION, (least,))

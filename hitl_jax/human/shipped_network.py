@@ -1,0 +1,40 @@
+"""Networks that come with the package: `trained_human.md` says how they were made."""
+
+import io
+from importlib import resources
+
+import numpy as np
+
+from hitl_jax.types import Params
+
+
+def load(file: str, prefix: str) -> tuple[Params, list[int]]:
+    """Parameters of a stack of dense layers.
+
+    Args:
+        file: in this folder; arrays `PREFIX/params/Dense_N/kernel` and `.../bias`, float32.
+        prefix: of their names.
+
+    Returns:
+        The parameters, and the width of each layer.
+    """
+    layers: dict[str, dict[str, np.ndarray]] = {}
+    with np.load(io.BytesIO((resources.files("hitl_jax.human") / file).read_bytes())) as arrays:
+        for name in arrays:
+            start, _, layer, part = name.split("/")
+            if start == prefix:
+                layers.setdefault(layer, {})[part] = arrays[name]
+    widths = [len(layers[f"Dense_{place}"]["bias"]) for place in range(len(layers))]
+    return {"params": layers}, widths
+
+
+def to_npz(params: Params, prefix: str) -> bytes:
+    """The file that `load` reads."""
+    arrays = {
+        f"{prefix}/params/{layer}/{part}": np.asarray(array)
+        for layer, parts in params["params"].items()
+        for part, array in parts.items()
+    }
+    data = io.BytesIO()
+    np.savez(data, **arrays)  # type: ignore[arg-type]
+    return data.getvalue()
