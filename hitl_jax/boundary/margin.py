@@ -24,8 +24,9 @@ from hitl_jax.learner.frame import Layout
 from hitl_jax.learner.losses import Metrics, bootstrap
 from hitl_jax.types import BoundaryState, BoundaryTransition, Params
 
-HEAVY_TAILS, OFTEN, TWO_CRITICS, TARGETS, HALF_ALARMS, TAKEOVERS, LINE_8 = MARGIN_PARTS = (
+HEAVY_TAILS, HINGE, OFTEN, TWO_CRITICS, TARGETS, HALF_ALARMS, TAKEOVERS, LINE_8 = MARGIN_PARTS = (
     "heavy_tails",
+    "hinge",
     "often",
     "two_critics",
     "targets",
@@ -34,9 +35,13 @@ HEAVY_TAILS, OFTEN, TWO_CRITICS, TARGETS, HALF_ALARMS, TAKEOVERS, LINE_8 = MARGI
     "line_8",
 )
 """What makes up the learner, each of which can be left out: exploration by Cauchy's noise (else
-normal), four updates in a call of the learner (else one), two critics (else one), targets (else the
-critics themselves), half of each minibatch with alarms (else as they come), a takeover as one
-sample (else single steps), and line 8's move in the target (else none)."""
+normal), line 12 by the hinge loss (else through P(C | τ)), four updates in a call of the learner
+(else one), two critics (else one), targets (else the critics themselves), half of each minibatch
+with alarms (else as they come), a takeover as one sample (else single steps), and line 8's move in
+the target (else none)."""
+
+_WIDTH = 5.0
+"""Of the hinge, in scales of the noise."""
 
 
 def alarm_probability(
@@ -198,13 +203,24 @@ class MarginLearner(BoundaryNetworks):
     def _actor_loss(
         self, actor: Params, hyper: Any, critic: Params, batch: BoundaryTransition
     ) -> tuple[chex.Array, Metrics]:
-        """−mean Q_ω(s_i, π_θ(s_i)), but for what does not depend on θ (line 12)."""
+        """What line 12 descends.
+
+        Without the hinge, −mean Q_ω(s_i, π_θ(s_i)), but for what does not depend on θ. That is flat
+        where |c| is far from π_θ(s_i): a boundary that has gone there stays. The hinge loss grows
+        with how far |c| is on the wrong side, weighted by what that costs, and is 0 a width beyond:
+        π_θ stays within that of |c|.
+        """
         assert batch.indicator is not None
         without, with_alarm = alarm_values(self.critic.apply, critic, batch.observation)
         advantage = jax.lax.stop_gradient(jnp.mean(with_alarm - without, axis=0))
         boundary = self.boundary(hyper, actor, batch.observation)
-        likely = self._likely(hyper, batch.indicator, boundary)
-        loss = -jnp.mean(likely * advantage * _weights(batch))
+        if HINGE in self.parts:
+            width = _WIDTH * jnp.maximum(hyper.boundary_noise, 1e-6)
+            beyond = (jnp.abs(batch.indicator) - boundary) / width
+            loss = jnp.abs(advantage) * jax.nn.relu(1.0 - jnp.sign(advantage) * beyond)
+        else:
+            loss = -advantage * self._likely(hyper, batch.indicator, boundary)
+        loss = jnp.mean(loss * _weights(batch))
         return loss, {
             "boundary_actor_loss": loss,
             "boundary_alarm_advantage": jnp.mean(advantage * _weights(batch)),

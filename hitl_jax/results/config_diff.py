@@ -18,7 +18,7 @@ CAME_LATER: dict[str, dict[str, Any]] = {
         "human_actions": "scripted",
         "boundary_learner": "printed",
         "margin_parts": [
-            *("heavy_tails", "often", "two_critics", "targets"),
+            *("heavy_tails", "hinge", "often", "two_critics", "targets"),
             *("half_alarms", "takeovers", "line_8"),
         ],
         "risk_hidden_sizes": [64, 64],

@@ -197,7 +197,7 @@ def test_each_part_can_be_left_out(left_out):
         for _ in range(2):
             state, _metrics = one.improve(_HYPER, state, batch)
         noise = one.noise(jax.random.key(3))
-        return one.num_updates, noise, batch.counts, jax.tree.leaves(state.critic)
+        return one.num_updates, noise, batch.counts, (state.critic, state.actor)
 
     def equal(a, b):
         pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
@@ -207,7 +207,7 @@ def test_each_part_can_be_left_out(left_out):
 
 
 def test_unknown_parts_are_one_line():
-    with pytest.raises(InvalidValue, match=r"^margin_parts x: must be one of heavy_tails, often"):
+    with pytest.raises(InvalidValue, match=r"^margin_parts x: must be one of heavy_tails, hinge"):
         AgentConfig(margin_parts=("x",))
     with pytest.raises(InvalidValue, match=r"^margin_parts often often: each at most once$"):
         AgentConfig(margin_parts=("often", "often"))
