@@ -70,15 +70,26 @@ def draw(folder: ResultsFolder) -> Drawn:
     Raises:
         ResultsError: if the data are damaged.
     """
-    warnings = _load(folder.path / WARNINGS, WARNING_COLUMNS)
-    precision = _load(folder.path / PRECISION, PRECISION_COLUMNS)
-    reliability = _load(folder.path / RELIABILITY, RELIABILITY_COLUMNS)
+    warnings, precision, reliability = load_all(folder)
 
     def make() -> list[pathlib.Path] | None:
         figure = _figure(warnings, precision, reliability)
         return None if figure is None else save(figure, folder.path / "figures" / _NAME)
 
     return attempt({_NAME: make})
+
+
+def load_all(folder: ResultsFolder) -> tuple[Rows, Rows, Rows]:
+    """The folder's tables of early warnings, precision and reliability.
+
+    Raises:
+        ResultsError: if one is damaged.
+    """
+    return (
+        _load(folder.path / WARNINGS, WARNING_COLUMNS),
+        _load(folder.path / PRECISION, PRECISION_COLUMNS),
+        _load(folder.path / RELIABILITY, RELIABILITY_COLUMNS),
+    )
 
 
 def _load(path: pathlib.Path, columns: tuple[str, ...]) -> Rows:
@@ -126,7 +137,8 @@ def pooled_share(rows: Rows, part: str, whole: str, by: str) -> tuple[np.ndarray
     return places, share, low, high
 
 
-def _of(rows: Rows, **wanted: str) -> Rows:
+def only(rows: Rows, **wanted: str) -> Rows:
+    """The rows in which these columns hold these words."""
     chosen = np.ones(len(rows["method"]), bool)
     for name, value in wanted.items():
         chosen &= rows[name] == value
@@ -135,7 +147,7 @@ def _of(rows: Rows, **wanted: str) -> Rows:
 
 def _figure(warnings: Rows, precision: Rows, reliability: Rows) -> Figure | None:
     """None where no indicator has enough falls."""
-    methods = [method for method in METHODS if _enough_falls(_of(warnings, method=method))]
+    methods = [method for method in METHODS if _enough_falls(only(warnings, method=method))]
     if not methods:
         return None
     tells_risk = bool(reliability["steps"].sum())
@@ -146,10 +158,10 @@ def _figure(warnings: Rows, precision: Rows, reliability: Rows) -> Figure | None
     lines = {}
     for warned, precise, method in zip(above, below, methods, strict=False):
         for name, looks in looks_of.items():
-            own = _of(warnings, method=method, indicator=name)
+            own = only(warnings, method=method, indicator=name)
             if len(own["seed"]):
                 lines[name] = _draw(warned, own, _WARNED, looks, name)
-                own = _of(precision, method=method, indicator=name)
+                own = only(precision, method=method, indicator=name)
                 _draw(precise, own, _TIMELY, looks, name)
         warned.set(xscale="log", ylim=(0.0, 1.03), xlabel="false alarms [share of quiet steps]")
         warned.set_title(method.upper(), fontsize=9, color=COLOURS[method])
@@ -193,7 +205,7 @@ def _draw_reliability(axes: Axes, rows: Rows) -> None:
     axes.plot([0, 1], [0, 1], color=GREY, linewidth=0.9, linestyle="--")
     axes.fill_between([0, 1], [-0.1, 0.9], [0.1, 1.1], color=GREY, alpha=0.08, linewidth=0)
     for method in METHODS:
-        own = _of(rows, method=method)
+        own = only(rows, method=method)
         if not own["steps"].sum():
             continue
         _, foretold, _, _ = pooled_share(own, "risk_sum", "steps", "bin")

@@ -21,6 +21,7 @@ from hitl_jax.analysis.verdicts import Claim
 from hitl_jax.config import Hyper, Method
 from hitl_jax.errors import ResultsError
 from hitl_jax.playback.load_trained import section_of
+from hitl_jax.reports.foresight import foresight
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.results.config_diff import flatten
 from hitl_jax.results.folder import ResultsFolder, Run
@@ -95,6 +96,7 @@ def write_report(root: pathlib.Path, say: Callable[[str], None]) -> pathlib.Path
     parts = [_HEAD]
     for comparison in _COMPARISONS:
         parts.append(_comparison(comparison, root, say))
+    parts += [foresight(root, say)]
     parts += [_ablations(root / "ablations", say), _map(root / _NETWORK, say)]
     parts += [_tuning(root / "tuning"), _settings(root)]
     path = root / "REPORT.md"

@@ -1,0 +1,150 @@
+"""The report's section on walkers whose human foresees falls: warnings, boundary and help."""
+
+import pathlib
+from collections.abc import Callable
+
+import numpy as np
+
+from hitl_jax.analysis import assistance_figure, stats, warning_figures
+from hitl_jax.analysis.assistance_figure import BUDGETS, help_at, rules_of
+from hitl_jax.analysis.figures import draw_all
+from hitl_jax.analysis.markdown import table
+from hitl_jax.analysis.summary import write_summary
+from hitl_jax.analysis.warning_figures import Rows, only, pooled_share
+from hitl_jax.config import Method
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.provenance import short_commit
+
+FOLDERS = ("foresight", "foresight_ddpg")
+
+_FALSE_ALARMS = 0.01
+_METHOD = str(Method.HITL_AC)
+_FIGURES = {
+    "figure6_boundary": "the executed boundary",
+    "figure11_early_warnings": "alarms before falls",
+    "figure12_assistance": "help at equal human time",
+}
+
+
+def foresight(root: pathlib.Path, say: Callable[[str], None]) -> str:
+    """The section, of each of `FOLDERS` that is there.
+
+    Args:
+        root: the folder of results.
+        say: is told which figures could not be drawn, and why.
+
+    Raises:
+        ResultsError: if results are damaged.
+    """
+    parts = ["## A human who foresees falls, and a boundary that π_θ gives\n"]
+    for name in FOLDERS:
+        if (root / name).exists():
+            parts.append(_of(ResultsFolder(root / name), say))
+    return "\n".join(parts if len(parts) > 1 else [*parts, "Not run yet.\n"])
+
+
+def _of(folder: ResultsFolder, say: Callable[[str], None]) -> str:
+    write_summary(folder)
+    drawn = draw_all(folder)
+    drawn = drawn.with_(warning_figures.draw(folder)).with_(assistance_figure.draw(folder))
+    for failure in drawn.failures:
+        say(failure)
+    runs = folder.load_all()
+    commits = ", ".join(sorted({short_commit(run.info["commit"]) for run in runs}))
+    learner = folder.load_config()["agent"]["learner"]
+    episodes = folder.load_config()["episodes"]
+    head = (
+        f"### `--learner {learner}`, {episodes} episodes, {len(runs)} runs\n\n"
+        f"`{folder.path.name}`, commit {commits}; its command is in [README.md](README.md).\n"
+    )
+    warnings, precision, reliability = warning_figures.load_all(folder)
+    figures = "".join(
+        f"![{text}]({folder.path.name}/figures/{stem}.png)\n" for stem, text in _FIGURES.items()
+    )
+    return "\n".join(
+        [
+            head,
+            _help(assistance_figure.load(folder.path / assistance_figure.DATA)),
+            _warnings(warnings),
+            _precision(precision),
+            _reliability(reliability),
+            figures,
+        ]
+    )
+
+
+def _help(rows: Rows) -> str:
+    """Gains and falls at each budget of human time, and how the learned boundary compares."""
+    rules, budgets = rules_of(rows, _METHOD), np.array(BUDGETS)
+    helps = {rule: help_at(rows, _METHOD, rule, budgets) for rule in rules}
+    mine = (rows["method"] == _METHOD) & (rows["rule"] == assistance_figure.ALONE)
+    alone = rows["return_mean"][mine].mean()
+    fell = (rows["falls"][mine] / rows["episodes"][mine]).mean()
+    lines = []
+    for place, budget in enumerate(BUDGETS):
+        for rule, told in helps.items():
+            ahead = "–"
+            if rule != rules[0]:
+                ahead = _estimate(helps[rules[0]].gain[:, place] - told.gain[:, place])
+            gain, falls = _estimate(told.gain[:, place]), told.falls[:, place].mean()
+            lines.append([f"{budget:.0%}", rule, gain, f"{falls / fell:.2f}", ahead])
+    columns = (
+        "steps in human hands",
+        "the human is called by",
+        "return above that alone",
+        "falls, as a part of those alone",
+        f"{rules[0]} ahead by",
+    )
+    return (
+        f"Alone, these walkers have a mean return of {alone:.0f} and fall in {fell:.0%} of their "
+        "tests. With the human, at equal human time (– : a run was never so long in human hands):\n"
+        f"\n{table([columns, *lines])}\n"
+    )
+
+
+def _warnings(rows: Rows) -> str:
+    lines = []
+    for name in dict.fromkeys(rows["indicator"].tolist()):
+        own = only(rows, method=_METHOD, indicator=name)
+        shares, warned, low, high = pooled_share(own, "warned_falls", "falls", "false_alarm_share")
+        [at] = np.flatnonzero(shares == _FALSE_ALARMS)
+        lines.append([name, f"{warned[at]:.2f} [{low[at]:.2f}, {high[at]:.2f}]"])
+    columns = ("alarms by", "falls warned of 0.8 s before")
+    return (
+        "Alone, with an alarm at 1 % of the steps that no fall follows within a second:\n\n"
+        f"{table([columns, *lines])}\n"
+    )
+
+
+def _precision(rows: Rows) -> str:
+    names = list(dict.fromkeys(rows["indicator"].tolist()))
+    shares = {}
+    for name in names:
+        own = only(rows, method=_METHOD, indicator=name)
+        recalls, shares[name], *_ = pooled_share(own, "timely_alarms", "alarms", "recall")
+    lines = [
+        [f"{recall:.2f}", *(f"{shares[name][place]:.2f}" for name in names)]
+        for place, recall in enumerate(recalls)
+    ]
+    return (
+        "Share of the alarms that a fall follows within a second, at equal shares of those steps "
+        f"that have one:\n\n{table([['recall', *names], *lines])}\n"
+    )
+
+
+def _reliability(rows: Rows) -> str:
+    own = only(rows, method=_METHOD)
+    _, foretold, *_ = pooled_share(own, "risk_sum", "steps", "bin")
+    _, came, *_ = pooled_share(own, "falls_follow", "steps", "bin")
+    error = np.nanmax(np.abs(foretold - came)) if len(came) else np.nan
+    return (
+        "Over tenths of the foretold risk, what came differs from what was foretold by at most "
+        f"{error:.2f}.\n"
+    )
+
+
+def _estimate(values: np.ndarray) -> str:
+    if not np.isfinite(values).all():
+        return "–"
+    told = stats.estimate(values, stats.mean)
+    return f"{told:.0f}"
