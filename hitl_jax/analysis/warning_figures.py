@@ -55,6 +55,8 @@ _LOOKS: tuple[dict[str, Any], ...] = (
     {"color": "#CC79A7", "marker": "s", "linestyle": "--"},
     {"color": "#E69F00", "marker": "^", "linestyle": ":"},
     {"color": "#56B4E9", "marker": "v", "linestyle": "-."},
+    {"color": "#999999", "marker": "D", "linestyle": "--"},
+    {"color": "#882255", "marker": "x", "linestyle": "-"},
 )
 """Of indicators, in the order of the file; none is a method's colour."""
 
@@ -175,7 +177,7 @@ def _figure(warnings: Rows, precision: Rows, reliability: Rows) -> Figure | None
         _draw_reliability(above[-1], reliability)
         below[-1].set_axis_off()
     title = "all seeds together; band and bars: bootstrap 95 % interval over seeds"
-    place: dict[str, Any] = {"loc": "outside lower center", "ncols": max(len(lines), 1)}
+    place: dict[str, Any] = {"loc": "outside lower center", "ncols": min(len(lines), 3)}
     figure.legend(handles=list(lines.values()), title=title, **place)
     return figure
 

@@ -5,6 +5,8 @@ while, and what came of each of their poses (`hitl-jax human`). It looks at one 
 nothing that the learner of a run knows.
 """
 
+import functools
+
 import chex
 import jax
 
@@ -15,6 +17,7 @@ from hitl_jax.human.indicator import WALKER_OBSERVATION
 from hitl_jax.human.params import HumanParams
 from hitl_jax.human.part import HumanPart, memoryless
 from hitl_jax.learner.networks import RiskNetwork
+from hitl_jax.types import Params
 
 FILE, PREFIX = "experience.npz", "network"
 """Where its parameters are: of a `RiskNetwork`."""
@@ -23,20 +26,33 @@ LEAST = "least_expectation"
 """Name of the option, in `HumanParams.extra`."""
 
 
+def expectation(observation: chex.Array) -> chex.Array:
+    """The probability of a fall within a second, to one who has seen many walkers fall, [].
+
+    Args:
+        observation: s_t, [24].
+    """
+    network, (*hidden, _) = _network()
+    logit: chex.Array = RiskNetwork(tuple(hidden)).apply(network, observation)
+    return jax.nn.sigmoid(logit)
+
+
+@functools.cache
+def _network() -> tuple[Params, list[int]]:
+    return shipped_network.load(FILE, PREFIX)
+
+
 @DANGER_MODELS.register(
     "experienced", "to one who has seen many walkers fall, a fall within a second looks likely"
 )
 def experienced() -> HumanPart:
     """Danger is a fall within a second that is expected with at least `least_expectation`."""
-    network, (*hidden, _) = shipped_network.load(FILE, PREFIX)
-    expects = RiskNetwork(tuple(hidden))
 
     def rule(
         params: HumanParams, observation: chex.Array, dangerous: chex.Array, key: chex.PRNGKey
     ) -> chex.Array:
         del dangerous, key
-        logit: chex.Array = expects.apply(network, observation)
-        return jax.nn.sigmoid(logit) >= params.extra[LEAST]
+        return expectation(observation) >= params.extra[LEAST]
 
     least = Option(LEAST, 0.1, "probability from which a fall is expected", "1", 0.0, 1.0)
     return memoryless(rule, WALKER_OBSERVATION, (least,))

@@ -22,7 +22,9 @@ from hitl_jax.config import RunHyper, traced
 from hitl_jax.errors import ResultsError
 from hitl_jax.evaluation.host import HostExaminer, play_trial
 from hitl_jax.evaluation.trials import Trial
-from hitl_jax.human.indicator import INDICATORS, WALKER_OBSERVATION
+from hitl_jax.human.experience import expectation
+from hitl_jax.human.foresight import overreach
+from hitl_jax.human.indicator import INDICATORS, WALKER_OBSERVATION, Indicator
 from hitl_jax.playback.episodes import playing_pool
 from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
 from hitl_jax.results.atomic_files import write_text_atomic
@@ -34,8 +36,14 @@ from hitl_jax.types import Behavior
 NUM_BOUNDARIES = 61
 """From 0 to the greatest boundary that the runs could have."""
 
-_BESIDE = ("hull_angle", "weighted")
-"""Indicators that are told of every walker, beside the run's own."""
+_BESIDE: dict[str, Indicator] = {
+    "hull_angle": INDICATORS.make("hull_angle"),
+    "weighted": INDICATORS.make("weighted"),
+    "human_overreach": lambda seen: jnp.maximum(overreach(seen), 0.0),
+    "human_expectation": expectation,
+}
+"""What is told of every BipedalWalker, beside the run's own indicator: other indicators, and what
+the danger models `foresight` and `experienced` go by."""
 
 
 def write_alarms(folder: ResultsFolder, episodes: int, say: Callable[[str], None]) -> None:
@@ -145,8 +153,8 @@ first."""
 
 def _indicators(agent: Agent) -> Tell:
     own = agent.config.indicator
-    beside = _BESIDE if agent.config.observation_size == WALKER_OBSERVATION else ()
-    others = {name: INDICATORS.make(name) for name in beside if name != own}
+    beside = _BESIDE if agent.config.observation_size == WALKER_OBSERVATION else {}
+    others = {name: each for name, each in beside.items() if name != own}
 
     def tell(params: Behavior, hyper: RunHyper, seen: jax.Array) -> dict[str, jax.Array]:
         size = jnp.abs(agent.safety_indicator(params, seen))
