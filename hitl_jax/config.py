@@ -180,7 +180,7 @@ class Hyper:
         unattended_every: of so many training episodes the last is walked without the human, as the
             test will be: no alarm is raised; 0 is none.
         warmup_steps: environment steps of uniformly random actions before learning.
-        initial_boundary: τ_0. This, the next four numbers of the boundary and its noise are in the
+        initial_boundary: τ_0. This, Δ⁻, Δ⁺, the bounds and the noise of the boundary are in the
             safety indicator's unit: rad with the hull's angle, a probability with `fall_risk`.
         delta_minus: Δ⁻, what a true alarm takes from the boundary.
         delta_plus: Δ⁺, what a false alarm adds to it; the gain of `quantile` and `pid`.

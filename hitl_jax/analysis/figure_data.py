@@ -139,7 +139,12 @@ def _boundary_rule(config: dict[str, Any]) -> BoundaryRule | None:
     return BoundaryRule(initial, minus, plus, source == "residual")
 
 
-_UNITS = {"hull_angle": "rad", "weighted": "rad", "fall_risk": "probability of a fall"}
+_UNITS = {
+    "hull_angle": "rad",
+    "hull_angular_velocity": "rad/s",
+    "weighted": "rad",
+    "fall_risk": "probability of a fall",
+}
 """Of the indicators, for figures; they import no JAX."""
 
 

@@ -84,12 +84,16 @@ def draw(folder: ResultsFolder) -> Drawn:
 def load_all(folder: ResultsFolder) -> tuple[Rows, Rows, Rows]:
     """The folder's tables of early warnings, precision and reliability.
 
+    The second is empty in a folder of an earlier commit, which had none.
+
     Raises:
         ResultsError: if one is damaged.
     """
     return (
         _load(folder.path / WARNINGS, WARNING_COLUMNS),
-        _load(folder.path / PRECISION, PRECISION_COLUMNS),
+        _load(folder.path / PRECISION, PRECISION_COLUMNS)
+        if (folder.path / PRECISION).exists()
+        else {name: np.array([]) for name in PRECISION_COLUMNS},
         _load(folder.path / RELIABILITY, RELIABILITY_COLUMNS),
     )
 

@@ -146,7 +146,16 @@ class BoundaryNetworks:
 def descend_critic(
     hyper: Any, state: BoundaryState, grads: Params
 ) -> tuple[BoundaryState, Metrics]:
-    """One Adam step of ω, and how long its gradient was."""
+    """One Adam step of ω.
+
+    Args:
+        hyper: the run's hyperparameters, scalars.
+        state: before the step.
+        grads: of the critic's loss, like ω.
+
+    Returns:
+        The next state, and the gradient's norm [] as a metric.
+    """
     critic, optimizer = adam.descend(
         state.critic, grads, state.critic_optimizer, hyper.boundary_critic_learning_rate
     )
@@ -155,7 +164,7 @@ def descend_critic(
 
 
 def descend_actor(hyper: Any, state: BoundaryState, grads: Params) -> tuple[BoundaryState, Metrics]:
-    """One Adam step of θ, and how long its gradient was."""
+    """One Adam step of θ; see `descend_critic`."""
     actor, optimizer = adam.descend(
         state.actor, grads, state.actor_optimizer, hyper.boundary_actor_learning_rate
     )

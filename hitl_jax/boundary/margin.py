@@ -5,7 +5,8 @@ with the alarm and without, and the probability of the alarm between them:
 
     Q_ω(s, τ) = P(C | τ) Q_ω(s, C) + (1 − P(C | τ)) Q_ω(s, not C),
 
-P(C | τ) = P(|c| ≥ τ + noise) under the exploration. That is smooth in τ, and line 12 ascends it.
+P(C | τ) = P(|c| ≥ τ + noise) under the exploration. That is smooth in τ. It is greatest where the
+alarm is raised if it is worth more than none, and line 12 moves π_θ there.
 """
 
 import dataclasses
@@ -216,8 +217,12 @@ class MarginLearner(BoundaryNetworks):
         boundary = self.boundary(hyper, actor, batch.observation)
         if HINGE in self.parts:
             width = _WIDTH * jnp.maximum(hyper.boundary_noise, 1e-6)
-            beyond = (jnp.abs(batch.indicator) - boundary) / width
+            size = jnp.abs(batch.indicator)
+            beyond = (size - boundary) / width
             loss = jnp.abs(advantage) * jax.nn.relu(1.0 - jnp.sign(advantage) * beyond)
+            # Elsewhere no boundary within the bounds decides anything.
+            decides = (size >= hyper.boundary_low) & (size < hyper.boundary_high)
+            loss = jnp.where(decides, loss, 0.0)
         else:
             loss = -advantage * self._likely(hyper, batch.indicator, boundary)
         loss = jnp.mean(loss * _weights(batch))

@@ -3,7 +3,7 @@
 A choice is given in one of three ways: by a registered name, as an object from Python, or as
 `module:name`, which is imported when it is first asked for. What is behind the name is the choice
 itself or a function that makes it. Strings alone stand in a configuration; nothing is imported for
-them until a team is made.
+them until a team is made, or options are checked for one.
 """
 
 import importlib

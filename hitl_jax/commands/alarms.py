@@ -26,8 +26,8 @@ from hitl_jax.sweep.compile_cache import keep_programs
 class AlarmOptions:
     """Counts alarms and falls of trained walkers.
 
-    Writes RESULTS/alarms.csv and Figure 8, RESULTS/early_warnings.csv, RESULTS/reliability.csv and
-    Figure 11.
+    Writes RESULTS/alarms.csv and Figure 8; RESULTS/early_warnings.csv, precision.csv,
+    reliability.csv and Figure 11.
 
     Attributes:
         results: a folder that a sweep has written.

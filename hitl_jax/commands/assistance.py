@@ -15,9 +15,14 @@ from hitl_jax.analysis import assistance_figure
 from hitl_jax.choices.checks import require
 from hitl_jax.console.cli import checking_input, print_drawn, refusing
 from hitl_jax.console.output import say
-from hitl_jax.playback.assistance import write_assistance
+from hitl_jax.evaluation.trials import MOST_TEST_EPISODES
+from hitl_jax.playback.assistance import SHARES, write_assistance
+from hitl_jax.playback.load_trained import agent_of, require_same_human
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.sweep.compile_cache import keep_programs
+
+_MOST_EPISODES = MOST_TEST_EPISODES // len(SHARES)
+"""The examiner has a walker for each episode at each rate of alarms."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,10 +34,12 @@ class AssistanceOptions:
     Attributes:
         results: a folder that a sweep has written.
         episodes: test episodes of a run, for each rule and rate of alarms.
+        human_policy: the file given to the sweep under this name, if there was one.
     """
 
     results: tyro.conf.Positional[pathlib.Path]
     episodes: int = 30
+    human_policy: str | None = None
 
 
 def main(options: AssistanceOptions) -> int:
@@ -48,10 +55,12 @@ def main(options: AssistanceOptions) -> int:
         BadInput: where there is nothing to play.
     """
     with checking_input():
-        require("episodes", options.episodes, at_least=1)
+        require("episodes", options.episodes, at_least=1, at_most=_MOST_EPISODES)
     with refusing():
         folder = ResultsFolder(options.results)
+        require_same_human(folder, options.human_policy)
+        agent = agent_of(folder, options.human_policy)
         keep_programs()
-        write_assistance(folder, options.episodes, say)
+        write_assistance(folder, agent, options.episodes, say)
         drawn = assistance_figure.draw(folder)
     return print_drawn(drawn)

@@ -16,13 +16,13 @@ def load(file: str, prefix: str) -> tuple[Params, list[int]]:
         prefix: of their names.
 
     Returns:
-        The parameters, and the width of each layer.
+        The parameters, kernels [I, O] and biases [O], and the width O of each layer.
     """
     layers: dict[str, dict[str, np.ndarray]] = {}
     with np.load(io.BytesIO((resources.files("hitl_jax.human") / file).read_bytes())) as arrays:
         for name in arrays:
-            start, _, layer, part = name.split("/")
-            if start == prefix:
+            if name.startswith(f"{prefix}/"):
+                _, _, layer, part = name.split("/")
                 layers.setdefault(layer, {})[part] = arrays[name]
     widths = [len(layers[f"Dense_{place}"]["bias"]) for place in range(len(layers))]
     return {"params": layers}, widths

@@ -81,8 +81,9 @@ class LiveOptions:
         # The others find a boundary as they act: there is none to show of the state that comes
         # next, nor one that a label could move afterwards.
         one_of("boundary_source", self.agent.boundary_source, ("rule",))
+        one_of("feedback_schedule", self.agent.feedback_schedule, ("step",))
+        require_default(self.hyper, ("unattended_every",), "must be 0: somebody looks on")
         if self.with_person:
-            one_of("feedback_schedule", self.agent.feedback_schedule, ("step",))
             self._require_nothing_simulated()
         else:
             require_hands(self.agent, self.human_policy)

@@ -42,8 +42,8 @@ _BESIDE: dict[str, Indicator] = {
     "human_overreach": lambda seen: jnp.maximum(overreach(seen), 0.0),
     "human_expectation": expectation,
 }
-"""What is told of every BipedalWalker, beside the run's own indicator: other indicators, and what
-the danger models `foresight` and `experienced` go by."""
+"""What is told of every BipedalWalker, beside the run's own indicator: other indicators, the
+overreach of the danger model `foresight`, and the expectation of `experienced`."""
 
 
 def write_alarms(folder: ResultsFolder, episodes: int, say: Callable[[str], None]) -> None:

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax.analysis.assistance_figure import ALONE, COLUMNS, DATA
+from hitl_jax.arbiter import RELEASES
 from hitl_jax.boundary import SOURCES
 from hitl_jax.config import Method, RunHyper, traced
 from hitl_jax.envs import WalkerPool
@@ -27,7 +28,7 @@ from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import terrain_seeds, trial_key
 from hitl_jax.human.indicator import INDICATORS, WALKER_OBSERVATION
 from hitl_jax.playback.episodes import playing_pool
-from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
+from hitl_jax.playback.load_trained import able_to_play, load_trained
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.results.episode_measures import Row
 from hitl_jax.results.folder import ResultsFolder
@@ -59,18 +60,20 @@ class _Rule(NamedTuple):
     bounded: bool = False
 
 
-def write_assistance(folder: ResultsFolder, episodes: int, say: Callable[[str], None]) -> None:
+def write_assistance(
+    folder: ResultsFolder, agent: Agent, episodes: int, say: Callable[[str], None]
+) -> None:
     """Tests the trained walkers of HITL-FIX and HITL-AC with the human, and writes the table.
 
     Args:
         folder: of a sweep.
+        agent: its team.
         episodes: test episodes of a run at each rate of alarms.
         say: is told of each run.
 
     Raises:
         ResultsError: one line, where there is nothing to play.
     """
-    agent = agent_of(folder)
     keys = [key for key in able_to_play(folder, say) if key.method != Method.SRL]
     if not keys:
         raise ResultsError(f"{folder.path}: no run with a human has finished yet")
@@ -153,7 +156,11 @@ _SUMS = {
 
 
 def _rules(agent: Agent, method: str) -> list[_Rule]:
-    """Who calls the human of a method's walkers; the run's own boundary comes first."""
+    """Who calls the human of a method's walkers; the run's own boundary comes first.
+
+    By all of them a takeover ends as the human judges: a rule's own indicator decides nothing else.
+    """
+    agent = agent._replace(release=RELEASES.make("judgement"))
     fixed = agent._replace(boundary_source=SOURCES.make("rule"))
 
     def size(of: Agent, acts: Behavior, hyper: RunHyper, seen: chex.Array) -> chex.Array:
@@ -162,7 +169,10 @@ def _rules(agent: Agent, method: str) -> list[_Rule]:
 
     def margin(acts: Behavior, hyper: RunHyper, seen: chex.Array) -> chex.Array:
         boundary = agent.boundary_learner.boundary(traced(hyper), acts.boundary_actor, seen)
-        return size(agent, acts, hyper, seen) - boundary
+        reached = size(agent, acts, hyper, seen)
+        # Wherever it is moved, the boundary stays within the run's bounds.
+        above = jnp.where(reached >= hyper.boundary_high, _NO_BOUND, reached - boundary)
+        return jnp.where(reached < hyper.boundary_low, -_NO_BOUND, above)
 
     rules = [_Rule("fixed boundary", fixed, functools.partial(size, agent))]
     if method == Method.HITL_AC and agent.executes_actor:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hitl_jax.analysis.boundary_map import Cells
+from hitl_jax.boundary import SOURCES
 from hitl_jax.config import Method
 from hitl_jax.errors import ResultsError
 from hitl_jax.evaluation.host import HostExaminer, play_trial
@@ -16,7 +17,6 @@ from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.team.agent import Agent
 
-_SOURCES = ("network", "residual")
 _VELOCITY_UNIT = 25.0  # rad/s; the observation is 2 ω / 50
 
 
@@ -32,11 +32,11 @@ def map_boundary(folder: ResultsFolder, episodes: int, say: Callable[[str], None
         ResultsError: one line, where there is nothing to map.
     """
     agent = agent_of(folder)
-    source = agent.config.boundary_source
-    if source not in _SOURCES:
+    if not agent.executes_actor:
+        able = [name for name in SOURCES if SOURCES.make(name).executes_actor]
         raise ResultsError(
-            f"{folder.path}: its boundary source is {source}: must be one of "
-            f"{', '.join(_SOURCES)}, where an actor's output is executed"
+            f"{folder.path}: its boundary source is {agent.config.boundary_source}: must be one of "
+            f"{', '.join(able)}, where an actor's output is executed"
         )
     size = agent.config.observation_size
     if size != WALKER_OBSERVATION:

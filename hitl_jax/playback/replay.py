@@ -138,7 +138,7 @@ def make_film(
     indicate = jax.vmap(agent.safety_indicator, in_axes=(None, 0))
     indicators = np.asarray(indicate(params, observations))
     name = agent.config.indicator.replace("_", " ")
-    unit = unit_of(agent.config.indicator)
+    unit = unit_of(agent.config.indicator).removesuffix("1")
     drawn = film.play(backend, seed, episode.actions)
     pictures = ((picture, total) for (_, picture, _), total in zip(drawn, returns, strict=True))
     caption = film.Caption(title, name, unit, indicators, _SPAN)

@@ -57,6 +57,10 @@ def completed(config: dict[str, Any]) -> dict[str, Any]:
         has = config.get(section)
         if isinstance(has, dict):
             whole[section] = _with(has, choices)
+    agent = config.get("agent")
+    if isinstance(agent, dict) and agent.get("boundary_learner") == "margin":
+        parts = [part for part in CAME_LATER["agent"]["margin_parts"] if part != "hinge"]
+        whole["agent"]["margin_parts"] = agent.get("margin_parts", parts)
     return whole
 
 

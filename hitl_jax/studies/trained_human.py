@@ -50,7 +50,7 @@ _BEGINS, _GIVES_BACK = 0.012, 0.008
 """Probability a step that a member takes the controls, and that it gives them back unstumbled."""
 
 _OVERREACH = (2.0, 3.6)
-"""Least and greatest overreach at which a member gives back [m]; drawn anew for each takeover."""
+"""Least and greatest overreach at which a member gives back [m]; drawn anew while none holds."""
 
 _TILT, _TILT_SPAN = 0.25, 0.16
 """Least tilt at which a member gives back, and by how much that grows with the overreach [rad]."""

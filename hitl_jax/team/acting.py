@@ -140,7 +140,7 @@ def act(
     attended = ~_is_last_of(state.episodes, hyper.unattended_every) & (hyper.has_arbiter > 0)
     judged = _judge(hyper, indicator, boundary_now, jnp.asarray(dangerous, bool), attended)
     arbiter_state, ruling = _rule(agent, hyper, state, judged)
-    carry = _advance(agent, hyper, state, judged, ruling)
+    carry = _advance(agent, hyper, state, judged, ruling, attended)
 
     hands = actions.with_noise(agent.source, hyper.human_action_noise)
     source_state, human_action = hands.act(state.source, observation, source_key)
@@ -231,9 +231,14 @@ def _rule(
 
 
 def _advance(
-    agent: Agent, hyper: RunHyper, state: ActingState, judged: _Judged, ruling: Ruling
+    agent: Agent,
+    hyper: RunHyper,
+    state: ActingState,
+    judged: _Judged,
+    ruling: Ruling,
+    attended: chex.Array,
 ) -> chex.Array:
-    """The boundary source's next carry; it stays where the boundary is fixed."""
+    """The boundary source's next carry; it stays where the boundary is fixed or nobody looks."""
     move = boundary.Move(
         boundary=judged.boundary,
         following=judged.following,
@@ -245,7 +250,7 @@ def _advance(
         high=hyper.boundary_high,
         extra=hyper.extra,
     )
-    learns = hyper.learns_boundary > 0
+    learns = (hyper.learns_boundary > 0) & attended
     after = next_carry(agent.boundary_source, state.boundary, move)
     return jnp.where(learns, after, state.boundary)
 

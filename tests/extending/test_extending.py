@@ -233,7 +233,7 @@ def test_help_names_what_is_registered():
     for name in ("learner", "boundary_source", "intervention", "indicator", "danger"):
         assert f"\n    {name}: " in AgentConfig.__doc__
     assert "`td3` (two critics, smoothed target, delayed actor)" in AgentConfig.__doc__
-    assert "initial_boundary: τ_0. This, the next" in Hyper.__doc__
+    assert "initial_boundary: τ_0. This, Δ⁻, Δ⁺" in Hyper.__doc__
 
 
 def test_a_name_is_registered_once():
