@@ -44,6 +44,8 @@ WARNINGS, RELIABILITY, PRECISION = "early_warnings.csv", "reliability.csv", "pre
 LEARNED = "learned_boundary"
 """Beside the indicators: |c_t| − π_θ(s_t), where π_θ is executed."""
 
+TABLES = (WARNINGS, RELIABILITY, PRECISION)
+
 _NAME = "figure11_early_warnings"
 _RUN = ("method", "seed")
 WARNING_COLUMNS = (*_RUN, "indicator", "false_alarm_share", "boundary", *WARNING_COUNTS)

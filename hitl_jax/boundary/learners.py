@@ -3,10 +3,18 @@
 from hitl_jax.boundary.learner import NEEDS, BoundaryLearner, Sizes
 from hitl_jax.boundary.margin import MarginLearner
 from hitl_jax.boundary.printed import PrintedLearner
+from hitl_jax.choices.checks import require_whole
 from hitl_jax.choices.registry import Registry, having
 
+
+def _require_usable(learner: BoundaryLearner) -> None:
+    """Checks what a learner says of itself; raises InvalidValue."""
+    require_whole("num_updates", learner.num_updates, at_least=1)
+    require_whole("least_frames", learner.least_frames, at_least=1)
+
+
 BOUNDARY_LEARNERS: Registry[BoundaryLearner] = Registry(
-    "boundary learner", "boundary_learner", having(*NEEDS)
+    "boundary learner", "boundary_learner", having(*NEEDS), require=_require_usable
 )
 """Each is made from an `AgentConfig`."""
 

@@ -44,6 +44,9 @@ def foresight(root: pathlib.Path, say: Callable[[str], None]) -> str:
 
 
 def _of(folder: ResultsFolder, say: Callable[[str], None]) -> str:
+    needed = (*warning_figures.TABLES, assistance_figure.DATA)
+    if lacks := [name for name in needed if not (folder.path / name).exists()]:
+        return f"`{folder.path.name}`: under way, without {' and '.join(lacks)} so far.\n"
     write_summary(folder)
     drawn = draw_all(folder)
     drawn = drawn.with_(warning_figures.draw(folder)).with_(assistance_figure.draw(folder))
@@ -58,24 +61,27 @@ def _of(folder: ResultsFolder, say: Callable[[str], None]) -> str:
         f"`{folder.path.name}`, commit {commits}; its command is in [README.md](README.md).\n"
     )
     warnings, precision, reliability = warning_figures.load_all(folder)
+    warned, precise, reliable = (
+        only(rows, method=_METHOD) for rows in (warnings, precision, reliability)
+    )
     figures = "".join(
-        f"![{text}]({folder.path.name}/figures/{stem}.png)\n" for stem, text in _FIGURES.items()
+        f"![{text}]({folder.path.name}/figures/{stem}.png)\n"
+        for stem, text in _FIGURES.items()
+        if (folder.path / "figures" / f"{stem}.png").exists()
     )
-    return "\n".join(
-        [
-            head,
-            _help(assistance_figure.load(folder.path / assistance_figure.DATA)),
-            _warnings(warnings),
-            _precision(precision),
-            _reliability(reliability),
-            figures,
-        ]
-    )
+    told = [_help(assistance_figure.load(folder.path / assistance_figure.DATA))]
+    if len(warned["seed"]) and len(precise["seed"]):
+        told += [_warnings(warned), _precision(precise)]
+    if len(reliable["seed"]):
+        told.append(_reliability(reliable))
+    return "\n".join([head, *told, figures])
 
 
 def _help(rows: Rows) -> str:
     """Gains and falls at each budget of human time, and how the learned boundary compares."""
     rules, budgets = rules_of(rows, _METHOD), np.array(BUDGETS)
+    if not rules:
+        return "No run of HITL-AC was tested with the human.\n"
     helps = {rule: help_at(rows, _METHOD, rule, budgets) for rule in rules}
     mine = (rows["method"] == _METHOD) & (rows["rule"] == assistance_figure.ALONE)
     alone = rows["return_mean"][mine].mean()
@@ -87,7 +93,8 @@ def _help(rows: Rows) -> str:
             if rule != rules[0]:
                 ahead = _estimate(helps[rules[0]].gain[:, place] - told.gain[:, place])
             gain, falls = _estimate(told.gain[:, place]), told.falls[:, place].mean()
-            lines.append([f"{budget:.0%}", rule, gain, f"{falls / fell:.2f}", ahead])
+            part = f"{falls / fell:.2f}" if np.isfinite(falls) and fell else "–"
+            lines.append([f"{budget:.0%}", rule, gain, part, ahead])
     columns = (
         "steps in human hands",
         "the human is called by",
@@ -105,7 +112,7 @@ def _help(rows: Rows) -> str:
 def _warnings(rows: Rows) -> str:
     lines = []
     for name in dict.fromkeys(rows["indicator"].tolist()):
-        own = only(rows, method=_METHOD, indicator=name)
+        own = only(rows, indicator=name)
         shares, warned, low, high = pooled_share(own, "warned_falls", "falls", "false_alarm_share")
         [at] = np.flatnonzero(shares == _FALSE_ALARMS)
         lines.append([name, f"{warned[at]:.2f} [{low[at]:.2f}, {high[at]:.2f}]"])
@@ -120,7 +127,7 @@ def _precision(rows: Rows) -> str:
     names = list(dict.fromkeys(rows["indicator"].tolist()))
     shares = {}
     for name in names:
-        own = only(rows, method=_METHOD, indicator=name)
+        own = only(rows, indicator=name)
         recalls, shares[name], *_ = pooled_share(own, "timely_alarms", "alarms", "recall")
     lines = [
         [f"{recall:.2f}", *(f"{shares[name][place]:.2f}" for name in names)]
@@ -133,10 +140,9 @@ def _precision(rows: Rows) -> str:
 
 
 def _reliability(rows: Rows) -> str:
-    own = only(rows, method=_METHOD)
-    _, foretold, *_ = pooled_share(own, "risk_sum", "steps", "bin")
-    _, came, *_ = pooled_share(own, "falls_follow", "steps", "bin")
-    error = np.nanmax(np.abs(foretold - came)) if len(came) else np.nan
+    _, foretold, *_ = pooled_share(rows, "risk_sum", "steps", "bin")
+    _, came, *_ = pooled_share(rows, "falls_follow", "steps", "bin")
+    error = np.nanmax(np.abs(foretold - came))
     return (
         "Over tenths of the foretold risk, what came differs from what was foretold by at most "
         f"{error:.2f}.\n"

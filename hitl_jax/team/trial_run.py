@@ -21,6 +21,7 @@ from hitl_jax.human.indicator import does_see_risk
 from hitl_jax.team.acting import init_acting
 from hitl_jax.team.packed_decision import act_or_begin
 from hitl_jax.team.parts import Agent
+from hitl_jax.team.trial_boundary import state_of_boundary_learner
 from hitl_jax.team.trial_learning import state_of_learner
 from hitl_jax.team.trial_shapes import Blamed, Given, given_of, many, sizes_of
 from hitl_jax.types import Behavior
@@ -58,7 +59,7 @@ def _tried(agent: Agent, named: tuple[tuple[str, str], ...]) -> None:
     _try_release(agent, given, blamed["release"])
     _try_intervention(agent, given, blamed["intervention"])
     learner = state_of_learner(agent.learner, sizes, names["learner"])
-    boundary = jax.eval_shape(agent.boundary_learner.init, given.key, given.key)
+    boundary = state_of_boundary_learner(agent, given, blamed["boundary_learner"])
     risk = agent.risk_learner
     critic = None if risk is None else jax.eval_shape(risk.init, given.key).critic
     _try_together(agent, given, Behavior(learner.actor, boundary.actor, critic))

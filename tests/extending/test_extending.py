@@ -137,7 +137,7 @@ def test_objects_from_python_do_the_same(by_name):
         ("danger", "my_team:of_another_kind", "must give a danger model, gives int 3"),
         ("boundary_source", "my_team:steep", "must give a boundary source, gives HumanPart"),
         ("intervention", "my_team:drifting", "must give an intervention, gives BoundarySource"),
-        ("human_actions", "my_team:np", "must be one of still, scripted, or module:name"),
+        ("human_actions", "my_team:np", "must be one of still, scripted, trained, or module:name"),
         ("indicator", "my_team:two_numbers", "must give one number"),
     ],
 )

@@ -1,0 +1,95 @@
+"""The report's section on foresight: its tables by hand, and what it says where something lacks."""
+
+import csv
+
+import example_results
+import numpy as np
+import pytest
+
+from hitl_jax.analysis import assistance_figure, warning_figures
+from hitl_jax.analysis.early_warnings import FALSE_ALARM_SHARES, RECALLS
+from hitl_jax.reports.foresight import foresight
+from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.run_key import RunKey
+
+
+def _write(path, columns, rows):
+    with path.open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([columns, *rows])
+
+
+@pytest.fixture
+def folder(tmp_path):
+    made = ResultsFolder(tmp_path / "foresight_ddpg")
+    config = example_results.CONFIG | {"episodes": 4}
+    made.create_or_resume(config, "command")
+    runs = [("hitl-ac", 0), ("hitl-ac", 1)]
+    for method, seed in runs:
+        info = example_results.make_info(config=config, commit="0123456789")
+        episodes, tests = example_results.make_episodes(), example_results.make_tests()
+        params = example_results.make_params()
+        made.save_run(RunKey(method, seed), episodes, tests, params, info)
+    helped = [
+        (*run, rule, 0.1, 0.5, 10, returned, falls, 1000, human, 3)
+        for run in runs
+        for rule, returned, falls, human in (
+            ("alone", 100.0, 6, 0),
+            ("learned boundary", 200.0, 2, 200),
+            ("chance", 120.0, 6, 200),
+        )
+    ]
+    _write(made.path / assistance_figure.DATA, assistance_figure.COLUMNS, helped)
+    warned = [
+        (*run, name, share, 0.5, 1000, 10, 30, count, 900)
+        for run in runs
+        for name, count in (("fall_risk", 27), ("hull_angle", 9))
+        for share in FALSE_ALARM_SHARES
+    ]
+    _write(made.path / warning_figures.WARNINGS, warning_figures.WARNING_COLUMNS, warned)
+    precise = [
+        (*run, name, recall, 0.5, 100, 80)
+        for run in runs
+        for name in ("fall_risk", "hull_angle")
+        for recall in RECALLS
+    ]
+    _write(made.path / warning_figures.PRECISION, warning_figures.PRECISION_COLUMNS, precise)
+    reliable = [
+        (*run, place / 10, 10 * place + 7, 100, 10 * place) for run in runs for place in range(10)
+    ]
+    columns = warning_figures.RELIABILITY_COLUMNS
+    _write(made.path / warning_figures.RELIABILITY, columns, reliable)
+    return made
+
+
+def test_the_tables_are_told(folder):
+    text = foresight(folder.path.parent, pytest.fail)
+    assert "mean return of 100 and fall in 60% of their tests" in text
+    assert "| 5% | learned boundary | 25 [25, 25] | 0.83 | – |" in text
+    assert "| 15% | chance | 15 [15, 15] | 1.00 | 60 [60, 60] |" in text
+    assert "| fall_risk | 0.90 [0.90, 0.90] |" in text
+    assert "| 0.50 | 0.80 | 0.80 |" in text
+    assert "by at most 0.07" in text
+    assert "figures/figure12_assistance.png" in text
+
+
+def test_what_lacks_is_said(folder):
+    root = folder.path.parent
+    (folder.path / assistance_figure.DATA).unlink()
+    assert "without assistance.csv so far" in foresight(root, pytest.fail)
+    assert "Not run yet" in foresight(root / "nowhere", pytest.fail)
+
+
+def test_without_falls_nothing_is_divided_by_them(folder):
+    rows = list(csv.reader((folder.path / assistance_figure.DATA).read_text().splitlines()))
+    for row in rows[1:]:
+        row[rows[0].index("falls")] = "0"
+    _write(folder.path / assistance_figure.DATA, rows[0], rows[1:])
+    for name, columns in (
+        (warning_figures.WARNINGS, warning_figures.WARNING_COLUMNS),
+        (warning_figures.PRECISION, warning_figures.PRECISION_COLUMNS),
+        (warning_figures.RELIABILITY, warning_figures.RELIABILITY_COLUMNS),
+    ):
+        _write(folder.path / name, columns, [])
+    with np.errstate(all="raise"):
+        text = foresight(folder.path.parent, pytest.fail)
+    assert "| 5% | learned boundary | 25 [25, 25] | – | – |" in text
