@@ -46,9 +46,10 @@ def test_words_in_tables():
 
 
 def test_arrays_of_recorded_episodes(tmp_path):
-    arrays, columns = np.load(RUN / "episodes.npz"), list(STEP_COLUMNS)
+    with np.load(RUN / "episodes.npz") as file:
+        arrays, columns = dict(file), list(STEP_COLUMNS)
     names = first_column(section(PAGE, EPISODES))
-    assert sorted(names[:-5]) == sorted(arrays.files) and names[-5:] == columns
+    assert sorted(names[:-5]) == sorted(arrays) and names[-5:] == columns
     made = run(python_in(section(PAGE, EPISODES))[0], tmp_path)
     steps = arrays["best/steps"]
     assert np.array_equal(made["action"], steps[:, :4])
@@ -58,11 +59,10 @@ def test_arrays_of_recorded_episodes(tmp_path):
 
 def test_arrays_of_parameters():
     named = [name for name in first_column(section(PAGE, PARAMS)) if not name.startswith("risk/")]
-    arrays = np.load(RUN / "params.npz")
-    assert set(named) <= set(arrays.files)
-    assert {name.partition("/")[0] for name in named} == {
-        name.partition("/")[0] for name in arrays.files
-    }
+    with np.load(RUN / "params.npz") as arrays:
+        names = arrays.files
+    assert set(named) <= set(names)
+    assert {name.partition("/")[0] for name in named} == {name.partition("/")[0] for name in names}
 
 
 def test_the_policy_in_numpy_is_the_actor(tmp_path):
