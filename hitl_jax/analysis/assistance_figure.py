@@ -1,7 +1,8 @@
 """Figure 12: what a human's help is worth, at equal human time, by who calls the human.
 
-From RESULTS/assistance.csv. Each run's return is interpolated between its rates of alarms, so that
-rules are compared at the same share of the steps in human hands; then seeds are averaged.
+From RESULTS/assistance.csv. Returns and human time are averaged over seeds at each rate of alarms,
+and interpolated between rates, so that rules are compared at the same share of the steps in human
+hands.
 """
 
 from __future__ import annotations
@@ -66,10 +67,13 @@ Rows = dict[str, np.ndarray]
 
 
 class Help(NamedTuple):
-    """What help is worth to a method's walkers at equal human time, [S, B] each.
+    """What help is worth to a method's walkers at shares of the steps in human hands.
+
+    The first row is of all seeds, the others of resamples, which are the same for all rules;
+    [1 + R, B] each, and NaN where the walkers were never so long in human hands.
 
     Attributes:
-        gain: return above that of the walker alone.
+        gain: mean return above that of the walkers alone.
         falls: share of the episodes that end in a fall.
     """
 
@@ -95,6 +99,7 @@ def load(path: pathlib.Path) -> Rows:
         if (rows["episodes"] < 1).any() or (rows["steps"] < 1).any():
             raise ValueError("episodes and steps must be at least 1")
         _require_alone(rows)
+        _require_equal(rows)
         return rows
 
 
@@ -107,6 +112,17 @@ def _require_alone(rows: Rows) -> None:
             raise ValueError(f"{method} seed {seed:g}: played {ALONE} {times} times")
 
 
+def _require_equal(rows: Rows) -> None:
+    """Raises ValueError where runs of a method were not played with the same rules and rates."""
+    played: dict[str, dict[float, list[tuple[str, float]]]] = {}
+    lines = zip(*(rows[n].tolist() for n in ("method", "seed", "rule", "alarm_share")), strict=True)
+    for method, seed, rule, share in lines:
+        played.setdefault(method, {}).setdefault(seed, []).append((rule, share))
+    for method, runs in played.items():
+        if len({tuple(sorted(run)) for run in runs.values()}) > 1:
+            raise ValueError(f"{method}: its runs were not played at the same rates of alarms")
+
+
 def rules_of(rows: Rows, method: str) -> list[str]:
     """The rules of a method's runs, in the order of the legend."""
     own = set(rows["rule"][rows["method"] == method].tolist())
@@ -114,7 +130,7 @@ def rules_of(rows: Rows, method: str) -> list[str]:
 
 
 def help_at(rows: Rows, method: str, rule: str, shares: np.ndarray) -> Help:
-    """Interpolates each run at shares of the steps in human hands; NaN beyond what was played.
+    """Interpolates the means over seeds at shares of the steps in human hands.
 
     Args:
         rows: of `load`.
@@ -122,21 +138,38 @@ def help_at(rows: Rows, method: str, rule: str, shares: np.ndarray) -> Help:
         rule: who calls the human.
         shares: of the steps, [B].
     """
-    gains: list[np.ndarray] = []
-    falls: list[np.ndarray] = []
+    human, returns, falls = _curves(rows, method, rule)
+    resampled = stats.resampled_seeds(len(human))
+    drawn = np.concatenate([np.arange(len(human))[None], resampled])
+
+    def at(values: np.ndarray) -> np.ndarray:
+        curves = zip(human[drawn].mean(1), values[drawn].mean(1), strict=True)
+        return np.array([_interpolated(shares, *curve) for curve in curves])
+
+    return Help(at(returns - returns[:, :1]), at(falls))
+
+
+def _curves(rows: Rows, method: str, rule: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Share of steps in human hands, return, and share of falls of each seed, [S, K] each.
+
+    The first column is of the walker alone, the others of rising shares of alarms.
+    """
     mine = rows["method"] == method
+    points = []
     for seed in np.unique(rows["seed"][mine]):
         run = mine & (rows["seed"] == seed)
-        [alone] = np.flatnonzero(run & (rows["rule"] == ALONE))
-        points = np.append(alone, np.flatnonzero(run & (rows["rule"] == rule)))
-        human = rows["human_steps"][points] / rows["steps"][points]
-        human[0] = 0.0
-        order = np.argsort(human, kind="stable")
-        fell = rows["falls"][points] / rows["episodes"][points]
-        for column, into in ((rows["return_mean"][points], gains), (fell, falls)):
-            into.append(np.interp(shares, human[order], column[order], right=np.nan))
-        gains[-1] = gains[-1] - rows["return_mean"][alone]
-    return Help(np.array(gains), np.array(falls))
+        helped = np.flatnonzero(run & (rows["rule"] == rule))
+        order = np.argsort(rows["alarm_share"][helped], kind="stable")
+        points.append([*np.flatnonzero(run & (rows["rule"] == ALONE)), *helped[order]])
+    at = np.array(points)
+    human = rows["human_steps"][at] / rows["steps"][at]
+    return human, rows["return_mean"][at], rows["falls"][at] / rows["episodes"][at]
+
+
+def _interpolated(shares: np.ndarray, human: np.ndarray, values: np.ndarray) -> np.ndarray:
+    order = np.argsort(human, kind="stable")
+    told: np.ndarray = np.interp(shares, human[order], values[order], right=np.nan)
+    return told
 
 
 def draw(folder: ResultsFolder) -> Drawn:
@@ -178,10 +211,20 @@ def _figure(rows: Rows) -> Figure | None:
 
 
 def _curve(axes: Axes, values: np.ndarray, rule: str) -> Any:
-    """Mean over seeds, as far as all of them reach."""
-    known = np.isfinite(values).all(axis=0)
-    middle = values[:, known].mean(axis=0)
-    low, high = stats.bootstrap_interval(values[:, known], stats.mean)
+    """Mean over seeds with its interval, as far as nearly all resamples reach."""
+    known = np.isfinite(values[0]) & (np.isfinite(values[1:]).mean(axis=0) >= stats.LEVEL)
+    low, high = interval(values[:, known])
     looks = _LOOKS[rule]
     axes.fill_between(_GRID[known], low, high, color=looks["color"], alpha=0.15, linewidth=0)
+    middle = values[0, known]
     return axes.plot(_GRID[known], middle, linewidth=1.4, label=literal(rule), **looks)[0]
+
+
+def interval(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of the interval of what `help_at` gives, or of a difference of such, [B] each.
+
+    Resamples that were never so long in human hands are left out.
+    """
+    tail = 50.0 * (1.0 - stats.LEVEL)
+    low, high = np.nanpercentile(values[1:], [tail, 100.0 - tail], axis=0)
+    return low, high

@@ -36,7 +36,7 @@ from hitl_jax.team.agent import Agent
 from hitl_jax.training.run_spec import RunSpec, Snapshot
 from hitl_jax.types import Behavior
 
-SHARES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
+SHARES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Of the steps of an autonomous test that have an alarm."""
 
 _NO_BOUND = 1e6

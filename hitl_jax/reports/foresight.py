@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hitl_jax.analysis import assistance_figure, stats, warning_figures
-from hitl_jax.analysis.assistance_figure import BUDGETS, help_at, rules_of
+from hitl_jax.analysis.assistance_figure import BUDGETS, help_at, interval, rules_of
 from hitl_jax.analysis.figures import draw_all
 from hitl_jax.analysis.markdown import table
 from hitl_jax.analysis.summary import write_summary
@@ -91,8 +91,8 @@ def _help(rows: Rows) -> str:
         for rule, told in helps.items():
             ahead = "–"
             if rule != rules[0]:
-                ahead = _estimate(helps[rules[0]].gain[:, place] - told.gain[:, place])
-            gain, falls = _estimate(told.gain[:, place]), told.falls[:, place].mean()
+                ahead = _estimate(helps[rules[0]].gain[:, [place]] - told.gain[:, [place]])
+            gain, falls = _estimate(told.gain[:, [place]]), told.falls[0, place]
             part = f"{falls / fell:.2f}" if np.isfinite(falls) and fell else "–"
             lines.append([f"{budget:.0%}", rule, gain, part, ahead])
     columns = (
@@ -104,7 +104,7 @@ def _help(rows: Rows) -> str:
     )
     return (
         f"Alone, these walkers have a mean return of {alone:.0f} and fall in {fell:.0%} of their "
-        "tests. With the human, at equal human time (– : a run was never so long in human hands):\n"
+        "tests. With the human, at equal human time (– where the human never acted so long):\n"
         f"\n{table([columns, *lines])}\n"
     )
 
@@ -150,7 +150,8 @@ def _reliability(rows: Rows) -> str:
 
 
 def _estimate(values: np.ndarray) -> str:
-    if not np.isfinite(values).all():
+    """The value of all seeds with its interval; nothing where a twentieth of resamples lacks it."""
+    if np.isnan(values[0, 0]) or np.isfinite(values[1:]).mean() < stats.LEVEL:
         return "–"
-    told = stats.estimate(values, stats.mean)
-    return f"{told:.0f}"
+    (low,), (high,) = interval(values)
+    return f"{values[0, 0]:.0f} [{low:.0f}, {high:.0f}]"
