@@ -211,8 +211,8 @@ def _figure(rows: Rows) -> Figure | None:
 
 
 def _curve(axes: Axes, values: np.ndarray, rule: str) -> Any:
-    """Mean over seeds with its interval, as far as nearly all resamples reach."""
-    known = np.isfinite(values[0]) & (np.isfinite(values[1:]).mean(axis=0) >= stats.LEVEL)
+    """Mean over seeds with its interval, as far as half of the resamples reach."""
+    known = np.isfinite(values[0]) & (np.isfinite(values[1:]).mean(axis=0) >= 0.5)
     low, high = interval(values[:, known])
     looks = _LOOKS[rule]
     axes.fill_between(_GRID[known], low, high, color=looks["color"], alpha=0.15, linewidth=0)

@@ -102,11 +102,36 @@ def _help(rows: Rows) -> str:
         "falls, as a part of those alone",
         f"{rules[0]} ahead by",
     )
+    at_rates = _at_rates(rows, rules, alone, fell)
     return (
         f"Alone, these walkers have a mean return of {alone:.0f} and fall in {fell:.0%} of their "
         "tests. With the human, at equal human time (– where the human never acted so long):\n"
-        f"\n{table([columns, *lines])}\n"
+        f"\n{table([columns, *lines])}\n{at_rates}"
     )
+
+
+def _at_rates(rows: Rows, rules: list[str], alone: float, fell: float) -> str:
+    """Means over all tests at some rates of alarms."""
+    lines = []
+    for share in (0.05, 0.2, 1.0):
+        for rule in rules:
+            at = (rows["method"] == _METHOD) & (rows["rule"] == rule)
+            at &= rows["alarm_share"] == share
+            if at.any():
+                human = (rows["human_steps"][at] / rows["steps"][at]).mean()
+                falls = (rows["falls"][at] / rows["episodes"][at]).mean()
+                gain = rows["return_mean"][at].mean() - alone
+                part = f"{falls / fell:.2f}" if fell else "–"
+                lines.append([f"{share:.0%}", rule, f"{human:.1%}", f"{gain:.0f}", part])
+    columns = (
+        "steps with an alarm, alone",
+        "the human is called by",
+        "steps in human hands",
+        "return above that alone",
+        "falls, as a part of those alone",
+    )
+    head = "At equal rates of alarms (with 100 % the human is always asked, whatever the rule):"
+    return f"\n{head}\n\n{table([columns, *lines])}\n"
 
 
 def _warnings(rows: Rows) -> str:
