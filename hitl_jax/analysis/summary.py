@@ -1,7 +1,5 @@
 """The tables of a results folder: a row for each run, and what the seeds say about each method."""
 
-import csv
-import io
 import pathlib
 from collections import Counter
 from typing import Any
@@ -12,7 +10,7 @@ from hitl_jax.analysis import stats
 from hitl_jax.analysis.markdown import table_line
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.results.episode_measures import LOST_TESTS
-from hitl_jax.results.episode_tables import Table, select
+from hitl_jax.results.episode_tables import Table, rows_to_csv, select
 from hitl_jax.results.folder import ResultsFolder, Run
 
 STEPS_PER_SECOND = 50
@@ -115,11 +113,7 @@ def write_summary(folder: ResultsFolder, runs: list[Run] | None = None) -> list[
     rows = [summarise_run(run) for run in runs]
     unfinished = Counter(key.method for key in folder.load_partials())
     table, report = folder.path / "summary.csv", folder.path / "summary.md"
-    text = io.StringIO()
-    writer = csv.DictWriter(text, SUMMARY_COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text_atomic(table, text.getvalue())
+    write_text_atomic(table, rows_to_csv(rows, SUMMARY_COLUMNS))
     write_text_atomic(report, _report(runs, unfinished))
     return [table, report]
 

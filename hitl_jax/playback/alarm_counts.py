@@ -1,7 +1,5 @@
 """What alarms at any boundary would have told of trained walkers."""
 
-import csv
-import io
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -28,6 +26,7 @@ from hitl_jax.human.indicator import INDICATORS, WALKER_OBSERVATION, Indicator
 from hitl_jax.playback.episodes import playing_pool
 from hitl_jax.playback.load_trained import able_to_play, agent_of, load_trained
 from hitl_jax.results.atomic_files import write_text_atomic
+from hitl_jax.results.episode_tables import rows_to_csv
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.team.agent import Agent
 from hitl_jax.training.run_spec import RunSpec, Snapshot
@@ -82,11 +81,7 @@ def write_alarms(folder: ResultsFolder, episodes: int, say: Callable[[str], None
             tables[warning_figures.RELIABILITY] += [run | row for row in reliability]
             say(f"{number}/{len(keys)} {key}: {counts.falls} falls")
     for name, columns in _COLUMNS.items():
-        text = io.StringIO()
-        writer = csv.DictWriter(text, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(tables[name])
-        write_text_atomic(folder.path / name, text.getvalue())
+        write_text_atomic(folder.path / name, rows_to_csv(tables[name], columns))
 
 
 _COLUMNS = {

@@ -6,10 +6,8 @@ on the hull's angle; and chance. Each rule is set to raise alarms at given share
 the autonomous test, so that the rules can be compared at equal human time.
 """
 
-import csv
 import dataclasses
 import functools
-import io
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -31,6 +29,7 @@ from hitl_jax.playback.episodes import playing_pool
 from hitl_jax.playback.load_trained import able_to_play, load_trained
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.results.episode_measures import Row
+from hitl_jax.results.episode_tables import rows_to_csv
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.team.agent import Agent
 from hitl_jax.training.run_spec import RunSpec, Snapshot
@@ -85,11 +84,7 @@ def write_assistance(
             run = {"method": key.method, "seed": key.seed}
             rows += [run | row for row in tests[key.method].rows(spec, end, episodes)]
             say(f"{number}/{len(keys)} {key}")
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text_atomic(folder.path / DATA, text.getvalue())
+    write_text_atomic(folder.path / DATA, rows_to_csv(rows, COLUMNS))
 
 
 class _Tests:

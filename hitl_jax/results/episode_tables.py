@@ -7,7 +7,7 @@ an episode. Text columns hold str, counts int64, and the rest float64, NaN where
 import csv
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -106,6 +106,23 @@ def table_from_csv(text: str, names: tuple[str, ...]) -> Table:
     )
     rows = len(columns[names[0]])
     return to_table(columns | {name: np.full(rows, _ABSENT[name]) for name in later}, names)
+
+
+def rows_to_csv(rows: Iterable[Mapping[str, Any]], names: Sequence[str]) -> str:
+    """CSV with a header; None is an empty cell.
+
+    Args:
+        rows: of these columns and no others; a column that a row lacks is an empty cell.
+        names: of the columns, in their order.
+
+    Raises:
+        ValueError: for a row with another column.
+    """
+    text = io.StringIO()
+    writer = csv.DictWriter(text, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
 
 
 def cells_from_csv(text: str, names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:

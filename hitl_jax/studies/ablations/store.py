@@ -1,9 +1,7 @@
 """What ablations have measured: one CSV, a line a run, whole whenever the process is killed."""
 
-import csv
 import dataclasses
 import hashlib
-import io
 import json
 import pathlib
 import re
@@ -13,7 +11,7 @@ from hitl_jax.analysis.summary import SUMMARY_COLUMNS
 from hitl_jax.choices.checks import MOST_SEED
 from hitl_jax.results.atomic_files import named_errors, read_bytes, write_text_atomic
 from hitl_jax.results.config_diff import CAME_LATER, without_later
-from hitl_jax.results.episode_tables import cells_from_csv, finite
+from hitl_jax.results.episode_tables import cells_from_csv, finite, rows_to_csv
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.studies.changes import Parts
 from hitl_jax.sweep.train_and_test import policy_digest
@@ -92,12 +90,9 @@ class Store:
 
     def write(self) -> None:
         """Writes the file."""
-        text = io.StringIO()
-        writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
-        writer.writeheader()
         ids = sorted(self._rows, key=dataclasses.astuple)
-        writer.writerows(dataclasses.asdict(run) | _plain(self._rows[run]) for run in ids)
-        write_text_atomic(self.path, text.getvalue())
+        rows = (dataclasses.asdict(run) | _plain(self._rows[run]) for run in ids)
+        write_text_atomic(self.path, rows_to_csv(rows, _COLUMNS))
 
 
 def _plain(row: Row) -> Row:
