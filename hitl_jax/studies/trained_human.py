@@ -8,7 +8,6 @@ several, the one whose tests with the crew have the greatest return becomes the 
 (`human.trained_walker`).
 """
 
-import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -79,6 +78,9 @@ def train_crew(episodes: int, test_episodes: int, watch: Watch) -> list[Tested]:
         episodes: training episodes of each.
         test_episodes: of each.
         watch: see `train_and_test`.
+
+    Returns:
+        Ended runs, each with a snapshot at every eighth of its training.
     """
     points = tuple(episodes * part // _SNAPSHOTS for part in range(1, _SNAPSHOTS + 1))
     hyper = hyper_for(Method.SRL, Hyper())
@@ -97,6 +99,9 @@ def train_hands(
         episodes: training episodes of each.
         test_episodes: of each, alone and with the crew.
         watch: see `train_and_test`.
+
+    Returns:
+        Ended runs, with rows of their tests alone and with the crew.
     """
     policies = [kept.behavior.actor for one in crew for kept in one.finished.run.snapshots]
     config = AgentConfig(intervention="takeover")
@@ -160,7 +165,7 @@ def _watched(examiner: HostExaminer, trial: Trial) -> tuple[np.ndarray, np.ndarr
     return np.concatenate(poses), steps_to_fall(lengths, fell)
 
 
-@functools.partial(jax.jit, donate_argnums=())
+@jax.jit
 def _fitted(poses: chex.Array, fell: chex.Array, key: chex.PRNGKey) -> tuple[Params, chex.Array]:
     """A network that is fitted to what came, and its loss at the end."""
     network, first = RiskNetwork(EXPERIENCE_SIZES), jax.random.split(key)
