@@ -46,6 +46,7 @@ class BoundaryTransition:
         next_indicator: c_{t+1}, [], likewise.
         counts: 0 where the boundary decided nothing, [], likewise.
         alarmed: whether r'_t was not 0, bool [], likewise.
+        explores: 1 in an episode with action noise, where some have none, [], likewise.
     """
 
     observation: chex.Array
@@ -58,6 +59,7 @@ class BoundaryTransition:
     next_indicator: chex.Array | None = None
     counts: chex.Array | None = None
     alarmed: chex.Array | None = None
+    explores: chex.Array | None = None
 
 
 @struct.dataclass
@@ -71,6 +73,7 @@ class Outcome:
         fell: 1 where the walker fell, [].
         cut_off: 1 where time was up or the human came before anything else had happened, [].
         last_observation: the state in which that was, [O].
+        explores: 1 in an episode with action noise, where some have none, [].
         counts: 0 where nothing can be learned from the state, [].
     """
 
@@ -78,6 +81,7 @@ class Outcome:
     fell: chex.Array
     cut_off: chex.Array
     last_observation: chex.Array
+    explores: chex.Array
     counts: chex.Array
 
 

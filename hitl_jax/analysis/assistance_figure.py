@@ -34,13 +34,17 @@ if TYPE_CHECKING:
 DATA = "assistance.csv"
 """In a results folder."""
 
-ALONE = "alone"
-"""The rule of the autonomous test."""
+ALONE, NOBODY = "alone", "nobody"
+"""The rule of the autonomous test, and who is called."""
+
+HUMANS = JUDGES, TRUSTS = "judges", "trusts"
+"""Who is called: the run's human, who has to agree, or one who agrees with every alarm."""
 
 COLUMNS = (
     "method",
     "seed",
     "rule",
+    "human",
     "alarm_share",
     "constant",
     "episodes",
@@ -62,6 +66,9 @@ _LOOKS: dict[str, dict[str, Any]] = {
     "hull angle": {"color": "#E69F00", "linestyle": "-."},
     "chance": {"color": GREY, "linestyle": ":"},
 }
+
+_WORDS = {"method": METHODS, "rule": (ALONE, *_LOOKS), "human": (NOBODY, *HUMANS)}
+"""Columns of words, and what may stand there."""
 
 Rows = dict[str, np.ndarray]
 
@@ -89,11 +96,11 @@ def load(path: pathlib.Path) -> Rows:
     """
     with named_errors(path):
         cells = cells_from_csv(read_bytes(path).decode(), COLUMNS)
-        for name, allowed in (("method", METHODS), ("rule", (ALONE, *_LOOKS))):
+        for name, allowed in _WORDS.items():
             if unknown := set(cells[name]) - set(allowed):
                 raise ValueError(f"{name} {min(unknown)[:50]!r}: must be one of {allowed}")
         rows = {
-            name: np.array(values) if name in ("method", "rule") else finite(name, values)
+            name: np.array(values) if name in _WORDS else finite(name, values)
             for name, values in cells.items()
         }
         if (rows["episodes"] < 1).any() or (rows["steps"] < 1).any():
@@ -114,10 +121,10 @@ def _require_alone(rows: Rows) -> None:
 
 def _require_equal(rows: Rows) -> None:
     """Raises ValueError where runs of a method were not played with the same rules and rates."""
-    played: dict[str, dict[float, list[tuple[str, float]]]] = {}
-    lines = zip(*(rows[n].tolist() for n in ("method", "seed", "rule", "alarm_share")), strict=True)
-    for method, seed, rule, share in lines:
-        played.setdefault(method, {}).setdefault(seed, []).append((rule, share))
+    played: dict[str, dict[float, list[tuple[str, str, float]]]] = {}
+    names = ("method", "seed", "rule", "human", "alarm_share")
+    for method, seed, *how in zip(*(rows[name].tolist() for name in names), strict=True):
+        played.setdefault(method, {}).setdefault(seed, []).append(tuple(how))
     for method, runs in played.items():
         if len({tuple(sorted(run)) for run in runs.values()}) > 1:
             raise ValueError(f"{method}: its runs were not played at the same rates of alarms")
@@ -129,27 +136,30 @@ def rules_of(rows: Rows, method: str) -> list[str]:
     return [rule for rule in _LOOKS if rule in own]
 
 
-def help_at(rows: Rows, method: str, rule: str, shares: np.ndarray) -> Help:
+def help_at(rows: Rows, method: str, rule: str, human: str, shares: np.ndarray) -> Help:
     """Interpolates the means over seeds at shares of the steps in human hands.
 
     Args:
         rows: of `load`.
         method: whose runs.
         rule: who calls the human.
+        human: one of `HUMANS`.
         shares: of the steps, [B].
     """
-    human, returns, falls = _curves(rows, method, rule)
-    resampled = stats.resampled_seeds(len(human))
-    drawn = np.concatenate([np.arange(len(human))[None], resampled])
+    held, returns, falls = _curves(rows, method, rule, human)
+    resampled = stats.resampled_seeds(len(held))
+    drawn = np.concatenate([np.arange(len(held))[None], resampled])
 
     def at(values: np.ndarray) -> np.ndarray:
-        curves = zip(human[drawn].mean(1), values[drawn].mean(1), strict=True)
+        curves = zip(held[drawn].mean(1), values[drawn].mean(1), strict=True)
         return np.array([_interpolated(shares, *curve) for curve in curves])
 
     return Help(at(returns - returns[:, :1]), at(falls))
 
 
-def _curves(rows: Rows, method: str, rule: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _curves(
+    rows: Rows, method: str, rule: str, human: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Share of steps in human hands, return, and share of falls of each seed, [S, K] each.
 
     The first column is of the walker alone, the others of rising shares of alarms.
@@ -158,17 +168,17 @@ def _curves(rows: Rows, method: str, rule: str) -> tuple[np.ndarray, np.ndarray,
     points = []
     for seed in np.unique(rows["seed"][mine]):
         run = mine & (rows["seed"] == seed)
-        helped = np.flatnonzero(run & (rows["rule"] == rule))
+        helped = np.flatnonzero(run & (rows["rule"] == rule) & (rows["human"] == human))
         order = np.argsort(rows["alarm_share"][helped], kind="stable")
         points.append([*np.flatnonzero(run & (rows["rule"] == ALONE)), *helped[order]])
     at = np.array(points)
-    human = rows["human_steps"][at] / rows["steps"][at]
-    return human, rows["return_mean"][at], rows["falls"][at] / rows["episodes"][at]
+    held = rows["human_steps"][at] / rows["steps"][at]
+    return held, rows["return_mean"][at], rows["falls"][at] / rows["episodes"][at]
 
 
-def _interpolated(shares: np.ndarray, human: np.ndarray, values: np.ndarray) -> np.ndarray:
-    order = np.argsort(human, kind="stable")
-    told: np.ndarray = np.interp(shares, human[order], values[order], right=np.nan)
+def _interpolated(shares: np.ndarray, held: np.ndarray, values: np.ndarray) -> np.ndarray:
+    order = np.argsort(held, kind="stable")
+    told: np.ndarray = np.interp(shares, held[order], values[order], right=np.nan)
     return told
 
 
@@ -191,16 +201,18 @@ def _figure(rows: Rows) -> Figure | None:
     methods = [method for method in METHODS if (rows["method"] == method).any()]
     if not methods:
         return None
-    figure, axes_of = panels(2, len(methods), (PAGE, 4.6))
-    above, below = axes_of[: len(methods)], axes_of[len(methods) :]
+    teams = [(method, human) for method in methods for human in HUMANS]
+    figure, axes_of = panels(2, len(teams), (PAGE, 4.6))
+    above, below = axes_of[: len(teams)], axes_of[len(teams) :]
     lines: dict[str, Any] = {}
-    for *column, method in zip(above, below, methods, strict=True):
+    for *column, (method, human) in zip(above, below, teams, strict=True):
         for rule in rules_of(rows, method):
-            own = help_at(rows, method, rule, _GRID)
+            own = help_at(rows, method, rule, human, _GRID)
             lines[rule] = _curve(column[0], own.gain, rule)
             _curve(column[1], own.falls, rule)
         column[0].axhline(0.0, color=GREY, linewidth=0.8)
-        column[0].set_title(method.upper(), fontsize=9, color=COLOURS[method])
+        title = f"{method.upper()}, human {human}"
+        column[0].set_title(title, fontsize=9, color=COLOURS[method])
         column[1].set(xlabel="steps in human hands [share]", ylim=(0.0, None))
     above[0].set_ylabel("test return above\nthat of the walker alone")
     below[0].set_ylabel("tests that end\nin a fall [share]")

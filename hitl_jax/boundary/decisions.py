@@ -76,6 +76,7 @@ def sample_decisions(
         next_boundary=came(begin, layout.next_boundary),
         counts=counts.astype(jnp.float32),
         alarmed=came(begin, layout.boundary_reward) != 0.0,
+        explores=came(begin, layout.explores),
     )
     # Before that the ring has frames of another run, which must not matter.
     mine: BoundaryTransition = jax.tree.map(

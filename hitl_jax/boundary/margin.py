@@ -25,7 +25,7 @@ from hitl_jax.learner.frame import Layout
 from hitl_jax.learner.losses import Metrics, bootstrap
 from hitl_jax.types import BoundaryState, BoundaryTransition, Params
 
-HEAVY_TAILS, HINGE, OFTEN, TWO_CRITICS, TARGETS, HALF_ALARMS, TAKEOVERS, LINE_8 = MARGIN_PARTS = (
+MARGIN_PARTS = (
     "heavy_tails",
     "hinge",
     "often",
@@ -34,12 +34,17 @@ HEAVY_TAILS, HINGE, OFTEN, TWO_CRITICS, TARGETS, HALF_ALARMS, TAKEOVERS, LINE_8 
     "half_alarms",
     "takeovers",
     "line_8",
+    "noise_told",
+)
+HEAVY_TAILS, HINGE, OFTEN, TWO_CRITICS, TARGETS, HALF_ALARMS, TAKEOVERS, LINE_8, NOISE_TOLD = (
+    MARGIN_PARTS
 )
 """What makes up the learner, each of which can be left out: exploration by Cauchy's noise (else
 normal), line 12 by the hinge loss (else through P(C | τ)), four updates in a call of the learner
 (else one), two critics (else one), targets (else the critics themselves), half of each minibatch
-with alarms (else as they come), a takeover as one sample (else single steps), and line 8's move in
-the target (else none)."""
+with alarms (else as they come), a takeover as one sample (else single steps), line 8's move in
+the target (else none), and a critic that is told which episodes have action noise, so that line 12
+can ask for values without (else it is not)."""
 
 _WIDTH = 5.0
 """Of the hinge, in scales of the noise."""
@@ -62,10 +67,17 @@ def alarm_probability(
 
 
 def alarm_values(
-    apply: Any, critic: Params, observation: chex.Array
+    apply: Any, critic: Params, observation: chex.Array, explores: chex.Array
 ) -> tuple[chex.Array, chex.Array]:
-    """Q_ω(s, not C) and Q_ω(s, C) of each critic, [E, N] each, for observations [N, O]."""
-    values = jax.vmap(lambda own: apply(own, observation))(critic)
+    """Q_ω(s, not C) and Q_ω(s, C) of each critic, [E, N] each.
+
+    Args:
+        apply: of the critic.
+        critic: parameters of E critics, stacked.
+        observation: [N, O].
+        explores: whether there is action noise, [N].
+    """
+    values = jax.vmap(lambda own: apply(own, observation, explores))(critic)
     return values[..., 0], values[..., 1]
 
 
@@ -116,7 +128,7 @@ class MarginLearner(BoundaryNetworks):
         """Random networks and fresh optimisers (line 2); both keys are consumed."""
         observation = jnp.zeros((1, self.observation_size), jnp.float32)
         keys = jax.random.split(critic_key, 2 if TWO_CRITICS in self.parts else 1)
-        critic = jax.vmap(lambda key: self.critic.init(key, observation))(keys)
+        critic = jax.vmap(lambda key: self.critic.init(key, observation, jnp.zeros((1,))))(keys)
         return dataclasses.replace(self.start(actor_key, critic), target_critic=critic)
 
     def draw(
@@ -149,9 +161,11 @@ class MarginLearner(BoundaryNetworks):
         Raises:
             ValueError: one line, for samples that are not of `Agent.draw_boundary`.
         """
-        more = batch.indicator, batch.next_indicator, batch.counts, batch.alarmed
+        more = batch.indicator, batch.next_indicator, batch.counts, batch.alarmed, batch.explores
         if any(leaf is None for leaf in more):
             raise ValueError("samples without indicators and alarms: draw them by draw_boundary")
+        if NOISE_TOLD not in self.parts:
+            batch = dataclasses.replace(batch, explores=jnp.zeros_like(batch.reward))
         target = self._target(hyper, state, batch)
         grads, critic_metrics = jax.grad(self._critic_loss, has_aux=True)(
             state.critic, hyper, batch, target
@@ -182,7 +196,7 @@ class MarginLearner(BoundaryNetworks):
             following += moved
         likely = self._likely(hyper, batch.next_indicator, following)
         without, with_alarm = alarm_values(
-            self.critic.apply, state.target_critic, batch.next_observation
+            self.critic.apply, state.target_critic, batch.next_observation, batch.explores
         )
         value = jnp.mean(likely * with_alarm + (1.0 - likely) * without, axis=0)
         value = batch.reward + batch.discount * bootstrap(batch.discount, value)
@@ -193,7 +207,8 @@ class MarginLearner(BoundaryNetworks):
     ) -> tuple[chex.Array, Metrics]:
         """Mean squared TD error of the value with or without alarm, as it was (lines 10, 11)."""
         assert batch.indicator is not None and batch.alarmed is not None
-        without, with_alarm = alarm_values(self.critic.apply, critic, batch.observation)
+        values = alarm_values(self.critic.apply, critic, batch.observation, batch.explores)
+        without, with_alarm = values
         # A learned indicator is another one by now; without ρ nothing tells what it was.
         now = jnp.abs(batch.indicator) >= jnp.abs(batch.boundary)
         alarmed = jnp.where(hyper.alarm_reward > 0.0, batch.alarmed, now)
@@ -212,7 +227,9 @@ class MarginLearner(BoundaryNetworks):
         π_θ stays within that of |c|.
         """
         assert batch.indicator is not None
-        without, with_alarm = alarm_values(self.critic.apply, critic, batch.observation)
+        no_noise = jnp.zeros_like(batch.indicator)
+        values = alarm_values(self.critic.apply, critic, batch.observation, no_noise)
+        without, with_alarm = values
         advantage = jax.lax.stop_gradient(jnp.mean(with_alarm - without, axis=0))
         boundary = self.boundary(hyper, actor, batch.observation)
         if HINGE in self.parts:

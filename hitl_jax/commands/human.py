@@ -36,8 +36,8 @@ class HumanOptions:
         out: folder of the files, made if need be.
     """
 
-    crew_episodes: int = 400
-    episodes: int = 1500
+    crew_episodes: int = 800
+    episodes: int = 1200
     test_episodes: int = 50
     out: str = "runs/human"
 

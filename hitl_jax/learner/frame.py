@@ -32,6 +32,7 @@ class Frame(NamedTuple):
         boundary_reward: r'_t, [].
         event: one of `GOES_ON`, `FALL`, `FINISHED`, `CUT_OFF`, []; known when the walker has
             answered.
+        explores: 1 in an episode with action noise, where some have none (`noise_free_every`), [].
     """
 
     observation: chex.Array
@@ -44,6 +45,7 @@ class Frame(NamedTuple):
     next_boundary: chex.Numeric
     boundary_reward: chex.Numeric
     event: chex.Numeric
+    explores: chex.Numeric
 
 
 class Flags(NamedTuple):

@@ -213,6 +213,8 @@ class BoundaryCritic(nn.Module):
 class AlarmCritic(nn.Module):
     """Q_ω(s, ·): the values of a state without an alarm, and with one.
 
+    It is told whether the episode has action noise, which decides what help is worth.
+
     Attributes:
         hidden_sizes: widths of the hidden layers.
     """
@@ -220,13 +222,14 @@ class AlarmCritic(nn.Module):
     hidden_sizes: Sequence[int]
 
     @nn.compact
-    def __call__(self, observation: chex.Array) -> chex.Array:
-        """Maps observations [..., O] to values [..., 2]."""
-        return nn.Dense(2, kernel_init=_kernel_init)(_hidden(observation, self.hidden_sizes))
+    def __call__(self, observation: chex.Array, explores: chex.Array) -> chex.Array:
+        """Maps observations [..., O] and 1 for noise, else 0, [...], to values [..., 2]."""
+        x = jnp.concatenate([observation, explores[..., None]], axis=-1)
+        return nn.Dense(2, kernel_init=_kernel_init)(_hidden(x, self.hidden_sizes))
 
 
 class RiskNetwork(nn.Module):
-    """The logit of the risk of a state.
+    """The logit of the risk of a state; further numbers that it sees may stand behind the state.
 
     Attributes:
         hidden_sizes: widths of the hidden layers.

@@ -9,8 +9,8 @@ start of a transition.
 A frame is stored in two parts, `seen` (observation, action) and `outcome` (the others). An n-step
 transition reads `seen` of two frames and `outcome` of n, and reading memory is what drawing costs.
 
-Memory: capacity · R · width · 4 bytes, with width = O + A + 8. BipedalWalker has width 36: 200,000
-frames of one run take 29 MB, of thirty runs 860 MB. The pool D of Algorithm 1 is the same ring read
+Memory: capacity · R · width · 4 bytes, with width = O + A + 9. BipedalWalker has width 37: 200,000
+frames of one run take 30 MB, of thirty runs 890 MB. The pool D of Algorithm 1 is the same ring read
 through `sample_boundary`: it needs three of its columns more than the task does.
 """
 
@@ -35,7 +35,7 @@ class Replay:
 
     Attributes:
         seen: observation and action of each frame, [R, T, O + A].
-        outcome: the other columns of each frame, from `Layout.reward` on, [R, T, 8].
+        outcome: the other columns of each frame, from `Layout.reward` on, [R, T, 9].
         cursor: frames written so far in each run's column, [].
         start: value of the cursor when the run in each column began, [R].
     """
@@ -285,6 +285,7 @@ def sample_outcomes(
         fell=(event == FALL).astype(jnp.float32),
         cut_off=cut_off.astype(jnp.float32),
         last_observation=replay.seen[column, (begin + steps) % capacity, layout.observation],
+        explores=replay.outcome[column, window[:, 0], layout.explores - layout.reward],
         counts=((count > 0) & ~final & ~(cut_off & (steps == 0))).astype(jnp.float32),
     )
 

@@ -3,7 +3,9 @@
 Each walker is tested alone and then, on the same terrains, with the human, whom four rules call:
 the run's own boundary π_θ(s) moved by a constant; a fixed boundary on the run's own indicator; one
 on the hull's angle; and chance. Each rule is set to raise alarms at given shares of the steps of
-the autonomous test, so that the rules can be compared at equal human time.
+the autonomous test, so that the rules can be compared at equal human time. Each calls two humans:
+the run's own, who judges whether the state is dangerous, and one who trusts every alarm, so that
+the rule alone decides.
 """
 
 import dataclasses
@@ -16,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitl_jax.analysis.assistance_figure import ALONE, COLUMNS, DATA
+from hitl_jax.analysis.assistance_figure import ALONE, COLUMNS, DATA, JUDGES, NOBODY, TRUSTS
 from hitl_jax.arbiter import RELEASES
 from hitl_jax.boundary import SOURCES
 from hitl_jax.config import Method, RunHyper, traced
@@ -25,6 +27,7 @@ from hitl_jax.errors import ResultsError
 from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import terrain_seeds, trial_key
 from hitl_jax.human.indicator import INDICATORS, WALKER_OBSERVATION
+from hitl_jax.human.trusting import trusting
 from hitl_jax.playback.episodes import playing_pool
 from hitl_jax.playback.load_trained import able_to_play, load_trained
 from hitl_jax.results.atomic_files import write_text_atomic
@@ -35,7 +38,7 @@ from hitl_jax.team.agent import Agent
 from hitl_jax.training.run_spec import RunSpec, Snapshot
 from hitl_jax.types import Behavior
 
-SHARES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+SHARES = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Of the steps of an autonomous test that have an alarm."""
 
 _NO_BOUND = 1e6
@@ -94,7 +97,11 @@ class _Tests:
         self._layout = agent.layout
         self._rules = _rules(agent, method)
         self._alone = HostExaminer(agent, pool)
-        self._assisted = [HostExaminer(rule.agent, pool) for rule in self._rules]
+        self._assisted = [
+            (rule, human, HostExaminer(rule.agent._replace(human=part), pool))
+            for rule in self._rules
+            for human, part in ((JUDGES, agent.human), (TRUSTS, trusting(agent.human)))
+        ]
         scores = {rule.name: rule.score for rule in self._rules}
 
         def tell(acts: Behavior, hyper: RunHyper, seen: jax.Array) -> dict[str, jax.Array]:
@@ -103,7 +110,7 @@ class _Tests:
         self._tell = jax.jit(jax.vmap(tell, in_axes=(None, None, 0)))
 
     def rows(self, spec: RunSpec, end: Snapshot, episodes: int) -> list[dict[str, Any]]:
-        """A row for the walker alone, and one for each rule and rate of alarms."""
+        """A row for the walker alone, and one for each rule, human and rate of alarms."""
         key, seeds = trial_key(spec), terrain_seeds(spec, range(episodes))
         told: list[dict[str, np.ndarray]] = []
 
@@ -118,15 +125,17 @@ class _Tests:
         played = self._alone.evaluate(
             "autonomous", spec.hyper, acts, carry, key, seeds[None], watch
         )
-        rows = [{"rule": ALONE, "alarm_share": 0.0, "constant": 0.0} | _sums(played)]
+        alone = {"rule": ALONE, "human": NOBODY, "alarm_share": 0.0, "constant": 0.0}
+        rows = [alone | _sums(played)]
         acts = stacked(end.behavior, len(SHARES))
-        for rule, examiner in zip(self._rules, self._assisted, strict=True):
+        for rule, human, examiner in self._assisted:
             score = np.concatenate([step[rule.name] for step in told])
             constants = np.quantile(score, 1.0 - np.array(SHARES)).astype(np.float32)
             hyper, all_seeds = _hyper(spec.hyper, rule), np.tile(seeds, (len(SHARES), 1))
             played = examiner.evaluate("assisted", hyper, acts, constants, key, all_seeds)
             rows += [
-                {"rule": rule.name, "alarm_share": share, "constant": float(constant)}
+                {"rule": rule.name, "human": human}
+                | {"alarm_share": share, "constant": float(constant)}
                 | _sums(played[place * episodes : (place + 1) * episodes])
                 for place, (share, constant) in enumerate(zip(SHARES, constants, strict=True))
             ]

@@ -6,7 +6,15 @@ from collections.abc import Callable
 import numpy as np
 
 from hitl_jax.analysis import assistance_figure, stats, warning_figures
-from hitl_jax.analysis.assistance_figure import BUDGETS, help_at, interval, rules_of
+from hitl_jax.analysis.assistance_figure import (
+    BUDGETS,
+    HUMANS,
+    JUDGES,
+    TRUSTS,
+    help_at,
+    interval,
+    rules_of,
+)
 from hitl_jax.analysis.figures import draw_all
 from hitl_jax.analysis.markdown import table
 from hitl_jax.analysis.summary import write_summary
@@ -82,20 +90,22 @@ def _help(rows: Rows) -> str:
     rules, budgets = rules_of(rows, _METHOD), np.array(BUDGETS)
     if not rules:
         return "No run of HITL-AC was tested with the human.\n"
-    helps = {rule: help_at(rows, _METHOD, rule, budgets) for rule in rules}
     mine = (rows["method"] == _METHOD) & (rows["rule"] == assistance_figure.ALONE)
     alone = rows["return_mean"][mine].mean()
     fell = (rows["falls"][mine] / rows["episodes"][mine]).mean()
     lines = []
-    for place, budget in enumerate(BUDGETS):
-        for rule, told in helps.items():
-            ahead = "–"
-            if rule != rules[0]:
-                ahead = _estimate(helps[rules[0]].gain[:, [place]] - told.gain[:, [place]])
-            gain, falls = _estimate(told.gain[:, [place]]), told.falls[0, place]
-            part = f"{falls / fell:.2f}" if np.isfinite(falls) and fell else "–"
-            lines.append([f"{budget:.0%}", rule, gain, part, ahead])
+    for human in HUMANS:
+        helps = {rule: help_at(rows, _METHOD, rule, human, budgets) for rule in rules}
+        for place, budget in enumerate(BUDGETS):
+            for rule, told in helps.items():
+                ahead = "–"
+                if rule != rules[0]:
+                    ahead = _estimate(helps[rules[0]].gain[:, [place]] - told.gain[:, [place]])
+                gain, falls = _estimate(told.gain[:, [place]]), told.falls[0, place]
+                part = f"{falls / fell:.2f}" if np.isfinite(falls) and fell else "–"
+                lines.append([human, f"{budget:.0%}", rule, gain, part, ahead])
     columns = (
+        "the human",
         "steps in human hands",
         "the human is called by",
         "return above that alone",
@@ -105,7 +115,8 @@ def _help(rows: Rows) -> str:
     at_rates = _at_rates(rows, rules, alone, fell)
     return (
         f"Alone, these walkers have a mean return of {alone:.0f} and fall in {fell:.0%} of their "
-        "tests. With the human, at equal human time (– where the human never acted so long):\n"
+        "tests. With a human who judges and agrees or not, and with one who trusts every alarm, at "
+        "equal human time (– where the human never acted so long):\n"
         f"\n{table([columns, *lines])}\n{at_rates}"
     )
 
@@ -113,17 +124,18 @@ def _help(rows: Rows) -> str:
 def _at_rates(rows: Rows, rules: list[str], alone: float, fell: float) -> str:
     """Means over all tests at some rates of alarms."""
     lines = []
-    for share in (0.05, 0.2, 1.0):
+    for human, share in ((JUDGES, 0.05), (JUDGES, 0.2), (JUDGES, 1.0), (TRUSTS, 0.05)):
         for rule in rules:
             at = (rows["method"] == _METHOD) & (rows["rule"] == rule)
-            at &= rows["alarm_share"] == share
+            at &= (rows["alarm_share"] == share) & (rows["human"] == human)
             if at.any():
-                human = (rows["human_steps"][at] / rows["steps"][at]).mean()
+                held = (rows["human_steps"][at] / rows["steps"][at]).mean()
                 falls = (rows["falls"][at] / rows["episodes"][at]).mean()
                 gain = rows["return_mean"][at].mean() - alone
                 part = f"{falls / fell:.2f}" if fell else "–"
-                lines.append([f"{share:.0%}", rule, f"{human:.1%}", f"{gain:.0f}", part])
+                lines.append([human, f"{share:.0%}", rule, f"{held:.1%}", f"{gain:.0f}", part])
     columns = (
+        "the human",
         "steps with an alarm, alone",
         "the human is called by",
         "steps in human hands",

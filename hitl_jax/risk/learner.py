@@ -13,7 +13,7 @@ from hitl_jax.learner import adam, networks, replay
 from hitl_jax.learner.frame import Layout
 from hitl_jax.learner.losses import Metrics
 from hitl_jax.risk.losses import calibration_loss, risk_loss, risk_target
-from hitl_jax.types import Outcome, RiskCritic, RiskState
+from hitl_jax.types import Outcome, Params, RiskCritic, RiskState
 
 _HELD_OUT = 8000
 """Newest frames, which correct the logits before the network learns from them: what it has learned
@@ -30,7 +30,8 @@ class RiskLearner:
     Pure functions for one run, which the caller vmaps. The label of a state is what happened in the
     steps after it; `losses.risk_target` says what where a human came between. The network is
     fitted to frames of the whole replay but the newest, and its logits are then corrected by a
-    slope and an offset that are fitted to the newest.
+    slope and an offset that are fitted to the newest. It is told which episodes had action noise;
+    the risk that is asked for, and corrected, is that without.
 
     Attributes:
         observation_size: O.
@@ -46,17 +47,27 @@ class RiskLearner:
 
     @property
     def network(self) -> nn.Module:
-        """Maps observations [..., O] to logits [...]."""
+        """Maps observations and whether there is action noise, [..., O + 1], to logits [...]."""
         return networks.RiskNetwork(self.hidden_sizes)
 
     def risk(self, critic: RiskCritic, observation: chex.Array) -> chex.Array:
-        """The probability of a fall within the horizon, [...], for observations [..., O]."""
-        logits = self.network.apply(critic.network, observation)
+        """P(a fall within the horizon) without action noise, [...], for observations [..., O]."""
+        return self._risk(critic, observation, jnp.zeros(observation.shape[:-1], jnp.float32))
+
+    def _risk(
+        self, critic: RiskCritic, observation: chex.Array, explores: chex.Array
+    ) -> chex.Array:
+        logits = self._logits(critic.network, observation, explores)
         return jax.nn.sigmoid(jnp.exp(critic.slope) * logits + critic.offset)
+
+    def _logits(self, network: Params, observation: chex.Array, explores: chex.Array) -> chex.Array:
+        seen = jnp.concatenate([observation, explores[..., None]], axis=-1)
+        logits: chex.Array = self.network.apply(network, seen)
+        return logits
 
     def init(self, key: chex.PRNGKey) -> RiskState:
         """A random network and a fresh optimiser; the key is consumed."""
-        network = self.network.init(key, jnp.zeros((1, self.observation_size), jnp.float32))
+        network = self.network.init(key, jnp.zeros((1, self.observation_size + 1), jnp.float32))
         zero = jnp.zeros((), jnp.float32)
         return RiskState(RiskCritic(network, slope=zero, offset=zero), adam.init(network))
 
@@ -92,16 +103,20 @@ class RiskLearner:
         Returns:
             The next state and metrics, each [].
         """
-        before, apply = state.critic, self.network.apply
-        target = risk_target(learned, self.risk(before, learned.last_observation))
-        grads, metrics = jax.grad(risk_loss, has_aux=True)(before.network, apply, learned, target)
+        before = state.critic
+        target = risk_target(
+            learned, self._risk(before, learned.last_observation, learned.explores)
+        )
+        grads, metrics = jax.grad(risk_loss, has_aux=True)(
+            before.network, self._logits, learned, target
+        )
         network, optimizer = adam.descend(
             before.network, grads, state.optimizer, hyper.risk_learning_rate
         )
         seen = risk_target(new, self.risk(before, new.last_observation))
-        logits = apply(before.network, new.observation)
+        logits = self._logits(before.network, new.observation, jnp.zeros_like(new.explores))
         error, (slope, offset) = jax.value_and_grad(calibration_loss)(
-            (before.slope, before.offset), logits, seen, new.counts
+            (before.slope, before.offset), logits, seen, new.counts * (1.0 - new.explores)
         )
         critic = RiskCritic(
             network,

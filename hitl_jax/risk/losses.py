@@ -28,7 +28,7 @@ def risk_target(outcome: Outcome, last_risk: chex.Array) -> chex.Array:
 
 def risk_loss(
     network: Params,
-    apply: Callable[[Params, chex.Array], chex.Array],
+    logits: Callable[[Params, chex.Array, chex.Array], chex.Array],
     outcome: Outcome,
     target: chex.Array,
 ) -> tuple[chex.Array, Metrics]:
@@ -36,14 +36,15 @@ def risk_loss(
 
     Args:
         network: parameters.
-        apply: maps (parameters, observations [B, O]) to logits [B].
+        logits: maps (parameters, observations [B, O], `Outcome.explores` [B]) to logits [B].
         outcome: minibatch, leading axis B.
         target: of `risk_target`, [B].
 
     Returns:
         The loss [] and the metric `risk_loss`.
     """
-    loss = _mean_cross_entropy(apply(network, outcome.observation), target, outcome.counts)
+    foretold = logits(network, outcome.observation, outcome.explores)
+    loss = _mean_cross_entropy(foretold, target, outcome.counts)
     return loss, {"risk_loss": loss}
 
 

@@ -36,11 +36,14 @@ from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec
 from hitl_jax.types import Params
 
-CREW_SEEDS, HANDS_SEEDS = range(1000, 1010), range(1010, 1014)
+CREW_SEEDS, HANDS_SEEDS = range(1000, 1006), range(1010, 1013)
 """None of those that a sweep reports or is tuned on."""
 
 _SNAPSHOTS = 8
-"""Of each member's training; each is one of the crew."""
+"""Of each member's training: what the human has seen."""
+
+_RELAYING = slice(2, None)
+"""Of the snapshots, those whose stumbles a walker can learn from: before, they hardly walk."""
 
 _RELIEF = 0.02
 """Probability a step that another member stands ready."""
@@ -103,7 +106,9 @@ def train_hands(
     Returns:
         Ended runs, with rows of their tests alone and with the crew.
     """
-    policies = [kept.behavior.actor for one in crew for kept in one.finished.run.snapshots]
+    policies = [
+        kept.behavior.actor for one in crew for kept in one.finished.run.snapshots[_RELAYING]
+    ]
     config = AgentConfig(intervention="takeover")
     agent = make_agent(config, judge=relay(), source=crew_actions(policies))
     hyper = hyper_for(Method.HITL_FIX, _HYPER)

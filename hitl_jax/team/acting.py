@@ -60,6 +60,7 @@ class Decision:
         boundary: τ_t, [].
         next_boundary: τ_{t+1} of line 8, [].
         boundary_reward: r'_t, [].
+        explores: whether the episode has action noise, where some have none, bool [].
     """
 
     action: chex.Array
@@ -72,6 +73,7 @@ class Decision:
     boundary: chex.Array
     next_boundary: chex.Array
     boundary_reward: chex.Array
+    explores: chex.Array
 
 
 def init_acting(agent: Agent, hyper: RunHyper, key: chex.PRNGKey) -> ActingState:
@@ -156,6 +158,7 @@ def act(
         boundary=boundary_now,
         next_boundary=judged.following,
         boundary_reward=judged.reward,
+        explores=(hyper.noise_free_every > 0) & ~_noise_free(hyper, state),
     )
     after = agent.human.notify(human_state, hyper.human, ruling.began, ruling.control)
     state = ActingState(
@@ -293,10 +296,14 @@ def _explore(
     rho = hyper.noise_correlation
     fresh = jax.random.normal(key, state.noise.shape, jnp.float32)
     noise = rho * state.noise + jnp.sqrt(1.0 - rho**2) * fresh
-    noise_free = _is_last_of(state.episodes, hyper.noise_free_every)
-    scale = jnp.where(noise_free, 0.0, hyper.exploration_noise)
+    scale = jnp.where(_noise_free(hyper, state), 0.0, hyper.exploration_noise)
     action = agent.learner.act(hyper, actor, observation, noise, scale)
     return noise, jnp.clip(action, -1.0, 1.0)
+
+
+def _noise_free(hyper: RunHyper, state: ActingState) -> chex.Array:
+    """Whether the episode under way has no action noise."""
+    return _is_last_of(state.episodes, hyper.noise_free_every)
 
 
 def _is_last_of(episodes: chex.Array, every: chex.Array) -> chex.Array:

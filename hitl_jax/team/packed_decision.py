@@ -50,5 +50,6 @@ def act_or_begin(
         next_boundary=decision.next_boundary,
         boundary_reward=decision.boundary_reward,
         event=unknown,
+        explores=decision.explores,
     )
     return state, pack(frame, Flags(*(getattr(decision, name) for name in Flags._fields)))

@@ -46,7 +46,7 @@ from hitl_jax.results.run_key import RunKey
 from hitl_jax.results.schemas import MadeBy, SaveHead
 from hitl_jax.training.saved_run import SavedRun
 
-FORMAT = 5
+FORMAT = 6
 """Of a save; another one's is refused. The order of the words of `xla.pytree_words` is part of
 it."""
 

@@ -30,12 +30,14 @@ def folder(tmp_path):
         params = example_results.make_params()
         made.save_run(RunKey(method, seed), episodes, tests, params, info)
     helped = [
-        (*run, rule, 0.1, 0.5, 10, returned, falls, 1000, human, 3)
+        (*run, rule, human, 0.1, 0.5, 10, returned, falls, 1000, held, 3)
         for run in runs
-        for rule, returned, falls, human in (
-            ("alone", 100.0, 6, 0),
-            ("learned boundary", 200.0, 2, 200),
-            ("chance", 120.0, 6, 200),
+        for rule, human, returned, falls, held in (
+            ("alone", "nobody", 100.0, 6, 0),
+            ("learned boundary", "judges", 200.0, 2, 200),
+            ("chance", "judges", 120.0, 6, 200),
+            ("learned boundary", "trusts", 140.0, 4, 200),
+            ("chance", "trusts", 60.0, 7, 200),
         )
     ]
     _write(made.path / assistance_figure.DATA, assistance_figure.COLUMNS, helped)
@@ -64,8 +66,9 @@ def folder(tmp_path):
 def test_the_tables_are_told(folder):
     text = foresight(folder.path.parent, pytest.fail)
     assert "mean return of 100 and fall in 60% of their tests" in text
-    assert "| 5% | learned boundary | 25 [25, 25] | 0.83 | – |" in text
-    assert "| 15% | chance | 15 [15, 15] | 1.00 | 60 [60, 60] |" in text
+    assert "| judges | 5% | learned boundary | 25 [25, 25] | 0.83 | – |" in text
+    assert "| judges | 15% | chance | 15 [15, 15] | 1.00 | 60 [60, 60] |" in text
+    assert "| trusts | 15% | chance | -30 [-30, -30] | 1.12 | 60 [60, 60] |" in text
     assert "| fall_risk | 0.90 [0.90, 0.90] |" in text
     assert "| 0.50 | 0.80 | 0.80 |" in text
     assert "by at most 0.07" in text
@@ -92,4 +95,4 @@ def test_without_falls_nothing_is_divided_by_them(folder):
         _write(folder.path / name, columns, [])
     with np.errstate(all="raise"):
         text = foresight(folder.path.parent, pytest.fail)
-    assert "| 5% | learned boundary | 25 [25, 25] | – | – |" in text
+    assert "| judges | 5% | learned boundary | 25 [25, 25] | – | – |" in text

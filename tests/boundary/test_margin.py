@@ -43,11 +43,13 @@ def test_the_probability_of_an_alarm_is_that_of_its_noise():
 def _learn(hyper, state, key):
     """Updates where the human agrees with alarms if the first number is positive.
 
-    There an alarm spares the walker a loss of 5.
+    There an alarm spares the walker a loss of 5, but in the three of four samples with action noise
+    nothing.
     """
 
     def once(state, key):
         keys = jax.random.split(key, 3)
+        explores = jnp.float32(jnp.arange(64) % 4 > 0)
         seen = jax.random.uniform(keys[0], (64, 2), minval=-1.0)
         indicator = 0.4 + 0.2 * seen[:, 1]
         noise = hyper.boundary_noise * jax.vmap(_LEARNER.noise)(jax.random.split(keys[1], 64))
@@ -57,11 +59,13 @@ def _learn(hyper, state, key):
             hyper.boundary_high,
         )
         alarmed, danger = indicator >= boundary, seen[:, 0] > 0.0
-        reward = jnp.where(alarmed, jnp.where(danger, 1.0, -1.0), jnp.where(danger, -5.0, 0.0))
+        lost = jnp.where(danger, -5.0, 0.0)
+        quiet = jnp.where(alarmed, jnp.where(danger, 1.0, -1.0), lost)
+        noisy = jnp.where(alarmed, -1.0, 0.0) + lost
         batch = BoundaryTransition(
             observation=seen,
             boundary=boundary,
-            reward=reward,
+            reward=jnp.where(explores > 0.0, noisy, quiet),
             discount=jnp.zeros(64),
             next_observation=seen,
             next_boundary=boundary,
@@ -69,6 +73,7 @@ def _learn(hyper, state, key):
             next_indicator=indicator,
             counts=jnp.ones(64),
             alarmed=alarmed,
+            explores=explores,
         )
         return _LEARNER.improve(hyper, state, batch)
 
@@ -87,9 +92,11 @@ def test_from_any_initial_boundary_alarms_are_raised_where_they_pay(initial):
     danger = seen[:, 0] > 0.0
     assert raised[danger].mean() > 0.95
     assert raised[~danger].mean() < 0.05
-    without, with_alarm = alarm_values(_LEARNER.critic.apply, state.critic, seen)
-    np.testing.assert_allclose(with_alarm[:, danger].mean(), 1.0, atol=0.5)
-    np.testing.assert_allclose(without[:, danger].mean(), -5.0, atol=0.5)
+    values = functools.partial(alarm_values, _LEARNER.critic.apply, state.critic, seen)
+    for explores, expected in ((0.0, 1.0), (1.0, -6.0)):
+        without, with_alarm = values(jnp.full(len(seen), explores))
+        np.testing.assert_allclose(with_alarm[:, danger].mean(), expected, atol=0.5)
+        np.testing.assert_allclose(without[:, danger].mean(), -5.0, atol=0.5)
 
 
 def _memory(alarms, steps=256):
@@ -185,6 +192,7 @@ def test_each_part_can_be_left_out(left_out):
     frames = np.zeros((1, 256, layout.width), np.float32)
     frames[0, 20:30, layout.event] = CUT_OFF
     frames[0, :, layout.next_boundary] = 0.1
+    frames[0, ::2, layout.explores] = 1.0
     frames[0, [20, 90], layout.boundary_reward] = 1.0
     memory = replay.add(memory, frames)
 

@@ -10,7 +10,7 @@ _LAYOUT = Layout(3, 2)
 
 
 def _packed():
-    frame = Frame(jnp.arange(3.0), jnp.array([10.0, 11.0]), *map(float, range(20, 28)))
+    frame = Frame(jnp.arange(3.0), jnp.array([10.0, 11.0]), *map(float, range(20, 29)))
     return pack(frame, Flags(*(jnp.asarray(index % 2 == 0) for index in range(6))))
 
 
@@ -20,7 +20,7 @@ def test_each_field_stands_in_its_column():
     assert row[_LAYOUT.observation].tolist() == [0.0, 1.0, 2.0]
     assert row[_LAYOUT.action].tolist() == [10.0, 11.0]
     scalars = [row[getattr(_LAYOUT, name)] for name in Frame._fields[2:]]
-    assert scalars == list(range(20, 28))
+    assert scalars == list(range(20, 29))
     assert _LAYOUT.width == _LAYOUT.control
 
 

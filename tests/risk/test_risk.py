@@ -67,18 +67,26 @@ def test_the_newest_are_passed_over_or_drawn_alone():
 
 def test_the_target_is_the_fall_and_where_the_human_came_the_risk_there():
     two = jnp.zeros((3, 2))
-    outcome = Outcome(two, jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 1.0]), two, two[:, 0])
+    fell, cut_off = jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 1.0])
+    outcome = Outcome(two, fell, cut_off, two, explores=two[:, 0], counts=two[:, 0])
     assert risk_target(outcome, jnp.full(3, 0.25)).tolist() == [1.0, 0.0, 0.25]
 
 
-def test_it_learns_how_likely_a_fall_is_and_says_so_of_what_it_has_not_seen():
-    """All walks are of 50 steps; every second one of those with an odd number ends in a fall."""
+@pytest.mark.parametrize("noisy", [0.0, 0.75])
+def test_it_learns_how_likely_a_fall_is_and_says_so_of_what_it_has_not_seen(noisy):
+    """All walks are of 50 steps; every second one of those with an odd number ends in a fall.
+
+    With action noise all of these do; that is not the risk that is asked for.
+    """
     walks, steps = 400, 50
     odd = np.arange(walks) % 2 == 1
     falls = np.arange(walks) % 4 == 1
     frames = np.zeros((walks, steps, _LAYOUT.width), np.float32)
     frames[:, :, 0] = 1.0 - np.arange(steps) / steps
     frames[:, :, 1] = odd[:, None]
+    explores = np.random.default_rng(0).uniform(size=walks) < noisy
+    falls |= explores & odd
+    frames[:, :, _LAYOUT.explores] = explores[:, None]
     frames[:, -1, _LAYOUT.event] = np.where(falls, FALL, FINISHED)
     memory = replay.add(
         replay.init(walks * steps, 1, _LAYOUT), frames.reshape(1, walks * steps, -1)
