@@ -35,16 +35,16 @@ MARGIN_PARTS = (
     "takeovers",
     "line_8",
     "noise_told",
+    "sees_indicator",
 )
-HEAVY_TAILS, HINGE, OFTEN, TWO_CRITICS, TARGETS, HALF_ALARMS, TAKEOVERS, LINE_8, NOISE_TOLD = (
-    MARGIN_PARTS
-)
+HEAVY_TAILS, HINGE, OFTEN, TWO_CRITICS, TARGETS, HALF_ALARMS, TAKEOVERS, LINE_8 = MARGIN_PARTS[:8]
+NOISE_TOLD, SEES_INDICATOR = MARGIN_PARTS[8:]
 """What makes up the learner, each of which can be left out: exploration by Cauchy's noise (else
 normal), line 12 by the hinge loss (else through P(C | τ)), four updates in a call of the learner
 (else one), two critics (else one), targets (else the critics themselves), half of each minibatch
 with alarms (else as they come), a takeover as one sample (else single steps), line 8's move in
 the target (else none), and a critic that is told which episodes have action noise, so that line 12
-can ask for values without (else it is not)."""
+can ask for values without, and that sees |c| beside the state (else it does not)."""
 
 _WIDTH = 5.0
 """Of the hinge, in scales of the noise."""
@@ -67,7 +67,7 @@ def alarm_probability(
 
 
 def alarm_values(
-    apply: Any, critic: Params, observation: chex.Array, explores: chex.Array
+    apply: Any, critic: Params, observation: chex.Array, size: chex.Array, explores: chex.Array
 ) -> tuple[chex.Array, chex.Array]:
     """Q_ω(s, not C) and Q_ω(s, C) of each critic, [E, N] each.
 
@@ -75,9 +75,10 @@ def alarm_values(
         apply: of the critic.
         critic: parameters of E critics, stacked.
         observation: [N, O].
+        size: |c|, [N].
         explores: whether there is action noise, [N].
     """
-    values = jax.vmap(lambda own: apply(own, observation, explores))(critic)
+    values = jax.vmap(lambda own: apply(own, observation, size, explores))(critic)
     return values[..., 0], values[..., 1]
 
 
@@ -128,7 +129,8 @@ class MarginLearner(BoundaryNetworks):
         """Random networks and fresh optimisers (line 2); both keys are consumed."""
         observation = jnp.zeros((1, self.observation_size), jnp.float32)
         keys = jax.random.split(critic_key, 2 if TWO_CRITICS in self.parts else 1)
-        critic = jax.vmap(lambda key: self.critic.init(key, observation, jnp.zeros((1,))))(keys)
+        one = jnp.zeros((1,), jnp.float32)
+        critic = jax.vmap(lambda key: self.critic.init(key, observation, one, one))(keys)
         return dataclasses.replace(self.start(actor_key, critic), target_critic=critic)
 
     def draw(
@@ -180,6 +182,18 @@ class MarginLearner(BoundaryNetworks):
         state = dataclasses.replace(state, target_critic=followed)
         return state, critic_metrics | critic_norm | actor_metrics | actor_norm
 
+    def _values(
+        self,
+        critic: Params,
+        observation: chex.Array,
+        indicator: chex.Array,
+        explores: chex.Array | None,
+    ) -> tuple[chex.Array, chex.Array]:
+        """`alarm_values` as the parts have it."""
+        size = jnp.abs(indicator) * (SEES_INDICATOR in self.parts)
+        noise = jnp.zeros_like(size) if explores is None else explores
+        return alarm_values(self.critic.apply, critic, observation, size, noise)
+
     def _likely(self, hyper: Any, indicator: chex.Array, boundary: chex.Array) -> chex.Array:
         """P(C) of boundaries that are kept within the run's bounds, [...]."""
         size, tails = jnp.abs(indicator), HEAVY_TAILS in self.parts
@@ -195,8 +209,8 @@ class MarginLearner(BoundaryNetworks):
         if LINE_8 in self.parts:
             following += moved
         likely = self._likely(hyper, batch.next_indicator, following)
-        without, with_alarm = alarm_values(
-            self.critic.apply, state.target_critic, batch.next_observation, batch.explores
+        without, with_alarm = self._values(
+            state.target_critic, batch.next_observation, batch.next_indicator, batch.explores
         )
         value = jnp.mean(likely * with_alarm + (1.0 - likely) * without, axis=0)
         value = batch.reward + batch.discount * bootstrap(batch.discount, value)
@@ -207,8 +221,9 @@ class MarginLearner(BoundaryNetworks):
     ) -> tuple[chex.Array, Metrics]:
         """Mean squared TD error of the value with or without alarm, as it was (lines 10, 11)."""
         assert batch.indicator is not None and batch.alarmed is not None
-        values = alarm_values(self.critic.apply, critic, batch.observation, batch.explores)
-        without, with_alarm = values
+        without, with_alarm = self._values(
+            critic, batch.observation, batch.indicator, batch.explores
+        )
         # A learned indicator is another one by now; without ρ nothing tells what it was.
         now = jnp.abs(batch.indicator) >= jnp.abs(batch.boundary)
         alarmed = jnp.where(hyper.alarm_reward > 0.0, batch.alarmed, now)
@@ -227,9 +242,8 @@ class MarginLearner(BoundaryNetworks):
         π_θ stays within that of |c|.
         """
         assert batch.indicator is not None
-        no_noise = jnp.zeros_like(batch.indicator)
-        values = alarm_values(self.critic.apply, critic, batch.observation, no_noise)
-        without, with_alarm = values
+        no_noise = jnp.zeros_like(batch.reward)
+        without, with_alarm = self._values(critic, batch.observation, batch.indicator, no_noise)
         advantage = jax.lax.stop_gradient(jnp.mean(with_alarm - without, axis=0))
         boundary = self.boundary(hyper, actor, batch.observation)
         if HINGE in self.parts:

@@ -2,7 +2,7 @@
 
 Trains a crew of walkers that stumble, and fits what a human expects of a pose to what came of
 theirs: `experience.npz`. Then it trains walkers that learn to go on from there, and writes the best
-of these: `trained_walker.npz` (`hitl_jax.studies.trained_human`). It takes about half an hour on
+of these: `trained_walker.npz` (`hitl_jax.studies.trained_human`). It takes about an hour on
 two cores; what is interrupted begins again.
 """
 

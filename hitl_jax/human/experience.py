@@ -54,5 +54,5 @@ def experienced() -> HumanPart:
         del dangerous, key
         return expectation(observation) >= params.extra[LEAST]
 
-    least = Option(LEAST, 0.1, "probability from which a fall is expected", "1", 0.0, 1.0)
+    least = Option(LEAST, 0.05, "probability from which a fall is expected", "1", 0.0, 1.0)
     return memoryless(rule, WALKER_OBSERVATION, (least,))

@@ -213,7 +213,8 @@ class BoundaryCritic(nn.Module):
 class AlarmCritic(nn.Module):
     """Q_ω(s, ·): the values of a state without an alarm, and with one.
 
-    It is told whether the episode has action noise, which decides what help is worth.
+    Besides the state it sees |c| and whether the episode has action noise: one tells of danger, the
+    other decides what help is worth.
 
     Attributes:
         hidden_sizes: widths of the hidden layers.
@@ -222,9 +223,11 @@ class AlarmCritic(nn.Module):
     hidden_sizes: Sequence[int]
 
     @nn.compact
-    def __call__(self, observation: chex.Array, explores: chex.Array) -> chex.Array:
-        """Maps observations [..., O] and 1 for noise, else 0, [...], to values [..., 2]."""
-        x = jnp.concatenate([observation, explores[..., None]], axis=-1)
+    def __call__(
+        self, observation: chex.Array, size: chex.Array, explores: chex.Array
+    ) -> chex.Array:
+        """Maps observations [..., O], |c| [...] and 1 for noise, else 0, [...], to [..., 2]."""
+        x = jnp.concatenate([observation, size[..., None], explores[..., None]], axis=-1)
         return nn.Dense(2, kernel_init=_kernel_init)(_hidden(x, self.hidden_sizes))
 
 

@@ -19,7 +19,7 @@ CAME_LATER: dict[str, dict[str, Any]] = {
         "boundary_learner": "printed",
         "margin_parts": [
             *("heavy_tails", "hinge", "often", "two_critics", "targets"),
-            *("half_alarms", "takeovers", "line_8", "noise_told"),
+            *("half_alarms", "takeovers", "line_8", "noise_told", "sees_indicator"),
         ],
         "risk_hidden_sizes": [64, 64],
         "risk_batch_size": 64,

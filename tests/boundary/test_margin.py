@@ -92,7 +92,8 @@ def test_from_any_initial_boundary_alarms_are_raised_where_they_pay(initial):
     danger = seen[:, 0] > 0.0
     assert raised[danger].mean() > 0.95
     assert raised[~danger].mean() < 0.05
-    values = functools.partial(alarm_values, _LEARNER.critic.apply, state.critic, seen)
+    size = 0.4 + 0.2 * seen[:, 1]
+    values = functools.partial(alarm_values, _LEARNER.critic.apply, state.critic, seen, size)
     for explores, expected in ((0.0, 1.0), (1.0, -6.0)):
         without, with_alarm = values(jnp.full(len(seen), explores))
         np.testing.assert_allclose(with_alarm[:, danger].mean(), expected, atol=0.5)

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+from hitl_jax.boundary.margin import MARGIN_PARTS
 from hitl_jax.config import Method
 from hitl_jax.studies.changes import Changes
 
@@ -65,6 +66,34 @@ _RANDOM: Changes = {
     "mistake_rate": _BUDGET,
 }
 """A human who intervenes at random."""
+
+_FORESIGHT: Changes = {
+    "learner": "ddpg",
+    "boundary_source": "network",
+    "boundary_learner": "margin",
+    "boundary_hidden_sizes": (64, 64),
+    "indicator": "fall_risk",
+    "danger": "experienced",
+    "human_actions": "trained",
+    "intervention": "takeover",
+    "takeover_steps": 50,
+    "feedback_schedule": "onset",
+    "feedback": -30.0,
+    "alarm_reward": 60.0,
+    "noise_free_every": 2,
+    "unattended_every": 4,
+    "boundary_low": 0.01,
+    "boundary_high": 1.0,
+    "initial_boundary": 0.3,
+    "boundary_noise": 0.1,
+}
+"""As `foresight_ddpg` in results/README.md."""
+
+
+def _without(part: str) -> Setting:
+    parts = tuple(other for other in MARGIN_PARTS if other != part)
+    return Setting(f"without {part}", _FORESIGHT | {"margin_parts": parts})
+
 
 ABLATIONS: dict[str, Ablation] = {
     "methods": Ablation(
@@ -187,5 +216,21 @@ ABLATIONS: dict[str, Ablation] = {
             Setting("Δ rule, takeover", _TAKEOVER),
             Setting("Δ rule, takeover, hysteresis", _TAKEOVER | {"release": "hysteresis"}),
         ),
+    ),
+    "boundary-parts": Ablation(
+        "What the boundary learner is made of",
+        (
+            Setting("all of margin", _FORESIGHT),
+            *(_without(part) for part in MARGIN_PARTS),
+            Setting("printed", _FORESIGHT | {"boundary_learner": "printed"}),
+        ),
+    ),
+    "boundary-start": Ablation(
+        "τ_0 of an executed boundary on the risk of a fall",
+        tuple(
+            Setting(f"{start:g}", _FORESIGHT | {"initial_boundary": start})
+            for start in (0.05, 0.2, 0.4, 0.6, 0.9)
+        ),
+        is_number=True,
     ),
 }
