@@ -27,7 +27,6 @@ from hitl_jax.types import BoundaryState, BoundaryTransition, Params
 
 MARGIN_PARTS = (
     "heavy_tails",
-    "hinge",
     "often",
     "two_critics",
     "targets",
@@ -37,17 +36,14 @@ MARGIN_PARTS = (
     "noise_told",
     "sees_indicator",
 )
-HEAVY_TAILS, HINGE, OFTEN, TWO_CRITICS, TARGETS, HALF_ALARMS, TAKEOVERS, LINE_8 = MARGIN_PARTS[:8]
-NOISE_TOLD, SEES_INDICATOR = MARGIN_PARTS[8:]
+HEAVY_TAILS, OFTEN, TWO_CRITICS, TARGETS, HALF_ALARMS, TAKEOVERS, LINE_8 = MARGIN_PARTS[:7]
+NOISE_TOLD, SEES_INDICATOR = MARGIN_PARTS[7:]
 """What makes up the learner, each of which can be left out: exploration by Cauchy's noise (else
-normal), line 12 by the hinge loss (else through P(C | τ)), four updates in a call of the learner
-(else one), two critics (else one), targets (else the critics themselves), half of each minibatch
-with alarms (else as they come), a takeover as one sample (else single steps), line 8's move in
-the target (else none), and a critic that is told which episodes have action noise, so that line 12
-can ask for values without, and that sees |c| beside the state (else it does not)."""
-
-_WIDTH = 5.0
-"""Of the hinge, in scales of the noise."""
+normal), four updates in a call of the learner (else one), two critics (else one), targets (else the
+critics themselves), half of each minibatch with alarms (else as they come), a takeover as one
+sample (else single steps), line 8's move in the target (else none), and a critic that is told which
+episodes have action noise, so that line 12 can ask for values without, and that sees |c| beside the
+state (else it does not)."""
 
 
 def alarm_probability(
@@ -234,29 +230,14 @@ class MarginLearner(BoundaryNetworks):
     def _actor_loss(
         self, actor: Params, hyper: Any, critic: Params, batch: BoundaryTransition
     ) -> tuple[chex.Array, Metrics]:
-        """What line 12 descends.
-
-        Without the hinge, −mean Q_ω(s_i, π_θ(s_i)), but for what does not depend on θ. That is flat
-        where |c| is far from π_θ(s_i): a boundary that has gone there stays. The hinge loss grows
-        with how far |c| is on the wrong side, weighted by what that costs, and is 0 a width beyond:
-        π_θ stays within that of |c|.
-        """
+        """What line 12 descends: −mean Q_ω(s_i, π_θ(s_i)), but for what does not depend on θ."""
         assert batch.indicator is not None
         no_noise = jnp.zeros_like(batch.reward)
         without, with_alarm = self._values(critic, batch.observation, batch.indicator, no_noise)
         advantage = jax.lax.stop_gradient(jnp.mean(with_alarm - without, axis=0))
         boundary = self.boundary(hyper, actor, batch.observation)
-        if HINGE in self.parts:
-            width = _WIDTH * jnp.maximum(hyper.boundary_noise, 1e-6)
-            size = jnp.abs(batch.indicator)
-            beyond = (size - boundary) / width
-            loss = jnp.abs(advantage) * jax.nn.relu(1.0 - jnp.sign(advantage) * beyond)
-            # Elsewhere no boundary within the bounds decides anything.
-            decides = (size >= hyper.boundary_low) & (size < hyper.boundary_high)
-            loss = jnp.where(decides, loss, 0.0)
-        else:
-            loss = -advantage * self._likely(hyper, batch.indicator, boundary)
-        loss = jnp.mean(loss * _weights(batch))
+        likely = self._likely(hyper, batch.indicator, boundary)
+        loss = -jnp.mean(advantage * likely * _weights(batch))
         return loss, {
             "boundary_actor_loss": loss,
             "boundary_alarm_advantage": jnp.mean(advantage * _weights(batch)),

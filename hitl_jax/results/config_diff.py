@@ -18,7 +18,7 @@ CAME_LATER: dict[str, dict[str, Any]] = {
         "human_actions": "scripted",
         "boundary_learner": "printed",
         "margin_parts": [
-            *("heavy_tails", "hinge", "often", "two_critics", "targets"),
+            *("heavy_tails", "often", "two_critics", "targets"),
             *("half_alarms", "takeovers", "line_8", "noise_told", "sees_indicator"),
         ],
         "risk_hidden_sizes": [64, 64],
@@ -59,7 +59,8 @@ def completed(config: dict[str, Any]) -> dict[str, Any]:
             whole[section] = _with(has, choices)
     agent = config.get("agent")
     if isinstance(agent, dict) and agent.get("boundary_learner") == "margin":
-        parts = [part for part in CAME_LATER["agent"]["margin_parts"] if part != "hinge"]
+        later = "noise_told", "sees_indicator"
+        parts = [part for part in CAME_LATER["agent"]["margin_parts"] if part not in later]
         whole["agent"]["margin_parts"] = agent.get("margin_parts", parts)
     return whole
 

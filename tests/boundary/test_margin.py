@@ -22,7 +22,7 @@ from hitl_jax.types import BoundaryTransition
 
 _LEARNER = MarginLearner(2, (32,))
 _HYPER = Hyper(
-    boundary_noise=0.05,
+    boundary_noise=0.1,
     boundary_actor_learning_rate=3e-3,
     boundary_critic_learning_rate=3e-3,
     target_step_size=0.05,
@@ -216,7 +216,7 @@ def test_each_part_can_be_left_out(left_out):
 
 
 def test_unknown_parts_are_one_line():
-    with pytest.raises(InvalidValue, match=r"^margin_parts x: must be one of heavy_tails, hinge"):
+    with pytest.raises(InvalidValue, match=r"^margin_parts x: must be one of heavy_tails, often"):
         AgentConfig(margin_parts=("x",))
     with pytest.raises(InvalidValue, match=r"^margin_parts often often: each at most once$"):
         AgentConfig(margin_parts=("often", "often"))

@@ -48,7 +48,7 @@ def _run(out, *options):
         (["--human", "recorded:missing.npz", "--human.delay", "3"], "--human.delay: has no meani"),
         (["--human", "recorded:missing.npz"], "--human missing.npz: No such file"),
         (["--boundary-learner", "x"], "--boundary-learner x: must be one of printed, margin"),
-        (["--margin-parts", "x"], "--margin-parts x: must be one of heavy_tails, hinge"),
+        (["--margin-parts", "x"], "--margin-parts x: must be one of heavy_tails, often"),
         (["--feedback-schedule", "year"], "--feedback-schedule year: must be one of step, onset"),
         (["--unattended-every", "-1"], "--unattended-every -1: must be at least 0"),
         (["--danger", "wise"], "--danger wise: must be one of"),
