@@ -46,7 +46,7 @@ class BoundaryTransition:
         next_indicator: c_{t+1}, [], likewise.
         counts: 0 where the boundary decided nothing, [], likewise.
         alarmed: whether r'_t was not 0, bool [], likewise.
-        explores: 1 in an episode with action noise, where some have none, [], likewise.
+        explores: `Frame.explores` of the step, [], likewise.
     """
 
     observation: chex.Array
@@ -73,7 +73,7 @@ class Outcome:
         fell: 1 where the walker fell, [].
         cut_off: 1 where time was up or the human came before anything else had happened, [].
         last_observation: the state in which that was, [O].
-        explores: 1 in an episode with action noise, where some have none, [].
+        explores: `Frame.explores` of the step, [].
         counts: 0 where nothing can be learned from the state, [].
     """
 

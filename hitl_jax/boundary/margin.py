@@ -25,7 +25,17 @@ from hitl_jax.learner.frame import Layout
 from hitl_jax.learner.losses import Metrics, bootstrap
 from hitl_jax.types import BoundaryState, BoundaryTransition, Params
 
-MARGIN_PARTS = (
+(
+    HEAVY_TAILS,
+    OFTEN,
+    TWO_CRITICS,
+    TARGETS,
+    HALF_ALARMS,
+    TAKEOVERS,
+    LINE_8,
+    NOISE_TOLD,
+    SEES_INDICATOR,
+) = MARGIN_PARTS = (
     "heavy_tails",
     "often",
     "two_critics",
@@ -36,8 +46,6 @@ MARGIN_PARTS = (
     "noise_told",
     "sees_indicator",
 )
-HEAVY_TAILS, OFTEN, TWO_CRITICS, TARGETS, HALF_ALARMS, TAKEOVERS, LINE_8 = MARGIN_PARTS[:7]
-NOISE_TOLD, SEES_INDICATOR = MARGIN_PARTS[7:]
 """What makes up the learner, each of which can be left out: exploration by Cauchy's noise (else
 normal), four updates in a call of the learner (else one), two critics (else one), targets (else the
 critics themselves), half of each minibatch with alarms (else as they come), a takeover as one
@@ -162,8 +170,6 @@ class MarginLearner(BoundaryNetworks):
         more = batch.indicator, batch.next_indicator, batch.counts, batch.alarmed, batch.explores
         if any(leaf is None for leaf in more):
             raise ValueError("samples without indicators and alarms: draw them by draw_boundary")
-        if NOISE_TOLD not in self.parts:
-            batch = dataclasses.replace(batch, explores=jnp.zeros_like(batch.reward))
         target = self._target(hyper, state, batch)
         grads, critic_metrics = jax.grad(self._critic_loss, has_aux=True)(
             state.critic, hyper, batch, target
@@ -185,9 +191,10 @@ class MarginLearner(BoundaryNetworks):
         indicator: chex.Array,
         explores: chex.Array | None,
     ) -> tuple[chex.Array, chex.Array]:
-        """`alarm_values` as the parts have it."""
+        """`alarm_values`, with 0 for what the critic is not to see."""
+        assert explores is not None
         size = jnp.abs(indicator) * (SEES_INDICATOR in self.parts)
-        noise = jnp.zeros_like(size) if explores is None else explores
+        noise = explores * (NOISE_TOLD in self.parts)
         return alarm_values(self.critic.apply, critic, observation, size, noise)
 
     def _likely(self, hyper: Any, indicator: chex.Array, boundary: chex.Array) -> chex.Array:

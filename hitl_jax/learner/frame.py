@@ -32,7 +32,8 @@ class Frame(NamedTuple):
         boundary_reward: r'_t, [].
         event: one of `GOES_ON`, `FALL`, `FINISHED`, `CUT_OFF`, []; known when the walker has
             answered.
-        explores: 1 in an episode with action noise, where some have none (`noise_free_every`), [].
+        explores: 1 with action noise or at random, where some episodes have no noise
+            (`noise_free_every`), [].
     """
 
     observation: chex.Array

@@ -60,7 +60,8 @@ class Decision:
         boundary: τ_t, [].
         next_boundary: τ_{t+1} of line 8, [].
         boundary_reward: r'_t, [].
-        explores: whether the episode has action noise, where some have none, bool [].
+        explores: whether the machine acts with noise or at random, where some episodes have no
+            noise, bool [].
     """
 
     action: chex.Array
@@ -158,7 +159,7 @@ def act(
         boundary=boundary_now,
         next_boundary=judged.following,
         boundary_reward=judged.reward,
-        explores=(hyper.noise_free_every > 0) & ~_noise_free(hyper, state),
+        explores=_explores(hyper, state),
     )
     after = agent.human.notify(human_state, hyper.human, ruling.began, ruling.control)
     state = ActingState(
@@ -304,6 +305,12 @@ def _explore(
 def _noise_free(hyper: RunHyper, state: ActingState) -> chex.Array:
     """Whether the episode under way has no action noise."""
     return _is_last_of(state.episodes, hyper.noise_free_every)
+
+
+def _explores(hyper: RunHyper, state: ActingState) -> chex.Array:
+    """Whether the machine's action is not as in a test, where some episodes' are."""
+    noisy = ~_noise_free(hyper, state) | acts_at_random(hyper, state.steps)
+    return (hyper.noise_free_every > 0) & noisy
 
 
 def _is_last_of(episodes: chex.Array, every: chex.Array) -> chex.Array:

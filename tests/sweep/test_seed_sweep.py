@@ -117,6 +117,7 @@ def test_help_is_measured_on_the_terrains_of_the_tests(swept):
             assert not own
             continue
         assert {row["rule"] for row in own} == {"alone", "fixed boundary", "chance"}
+        assert {row["human"] for row in own} == {"nobody", "judges", "trusts"}
         assert int(own[0]["steps"]) == alone["length"].sum()
         assert float(own[0]["return_mean"]) == pytest.approx(alone["return"].mean())
         assert all(int(row["human_steps"]) <= int(row["steps"]) for row in own)
