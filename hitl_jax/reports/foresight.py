@@ -52,12 +52,13 @@ def foresight(root: pathlib.Path, say: Callable[[str], None]) -> str:
 
 
 def _of(folder: ResultsFolder, say: Callable[[str], None]) -> str:
-    needed = (*warning_figures.TABLES, assistance_figure.DATA)
-    if lacks := [name for name in needed if not (folder.path / name).exists()]:
+    if lacks := [name for name in warning_figures.TABLES if not (folder.path / name).exists()]:
         return f"`{folder.path.name}`: under way, without {' and '.join(lacks)} so far.\n"
+    helped = (folder.path / assistance_figure.DATA).exists()
     write_summary(folder)
-    drawn = draw_all(folder)
-    drawn = drawn.with_(warning_figures.draw(folder)).with_(assistance_figure.draw(folder))
+    drawn = draw_all(folder).with_(warning_figures.draw(folder))
+    if helped:
+        drawn = drawn.with_(assistance_figure.draw(folder))
     for failure in drawn.failures:
         say(failure)
     runs = folder.load_all()
@@ -77,7 +78,9 @@ def _of(folder: ResultsFolder, say: Callable[[str], None]) -> str:
         for stem, text in _FIGURES.items()
         if (folder.path / "figures" / f"{stem}.png").exists()
     )
-    told = [_help(assistance_figure.load(folder.path / assistance_figure.DATA))]
+    told = [f"Help is not measured yet: without {assistance_figure.DATA}.\n"]
+    if helped:
+        told = [_help(assistance_figure.load(folder.path / assistance_figure.DATA))]
     if len(warned["seed"]) and len(precise["seed"]):
         told += [_warnings(warned), _precision(precise)]
     if len(reliable["seed"]):

@@ -78,7 +78,11 @@ def test_the_tables_are_told(folder):
 def test_what_lacks_is_said(folder):
     root = folder.path.parent
     (folder.path / assistance_figure.DATA).unlink()
-    assert "without assistance.csv so far" in foresight(root, pytest.fail)
+    text = foresight(root, pytest.fail)
+    assert "Help is not measured yet: without assistance.csv." in text
+    assert "| fall_risk | 0.90 [0.90, 0.90] |" in text
+    (folder.path / warning_figures.PRECISION).unlink()
+    assert "without precision.csv so far" in foresight(root, pytest.fail)
     assert "Not run yet" in foresight(root / "nowhere", pytest.fail)
 
 
