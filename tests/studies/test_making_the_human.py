@@ -9,7 +9,7 @@ from hitl_jax.console.cli import run_main
 from hitl_jax.human import HumanParams, experience
 from hitl_jax.human.trained_walker import FILE
 from hitl_jax.learner.networks import Actor
-from hitl_jax.studies.trained_human import crew_actions, relay
+from hitl_jax.studies.trained_human import HANDS_SEEDS, crew_actions, relay
 from hitl_jax.team.checkpoint import hidden_sizes, load_actor
 
 
@@ -54,7 +54,7 @@ def test_both_files_are_made_and_read(tmp_path, capsys):
     words = ["--crew-episodes", "8", "--episodes", "2", "--test-episodes", "1"]
     out = tmp_path / "hands"
     assert run_main("human", command.main, [*words, "--out", str(out)]) == 0
-    assert capsys.readouterr().out.count("with the crew") == 4
+    assert capsys.readouterr().out.count("with the crew") == len(HANDS_SEEDS)
     actor = load_actor(out / FILE, 24, 4)
     assert hidden_sizes(actor) == (128, 128, 4)
     with np.load(out / experience.FILE) as arrays:
