@@ -36,8 +36,8 @@ class HumanOptions:
         out: folder of the files, made if need be.
     """
 
-    crew_episodes: int = 800
-    episodes: int = 1200
+    crew_episodes: int = 600
+    episodes: int = 1500
     test_episodes: int = 50
     out: str = "runs/human"
 
@@ -70,7 +70,7 @@ def main(options: HumanOptions) -> int:
     expects = study.gain_experience(crew, tests, say)
     data = shipped_network.to_npz(expects, experience.PREFIX)
     write_bytes_atomic(out / experience.FILE, data)
-    trained = study.train_hands(crew, options.episodes, tests, _Progress("hands"))
+    trained = study.train_hands(crew, expects, options.episodes, tests, _Progress("hands"))
     for one in trained:
         alone, with_crew = (study.mean_return(one, mode) for mode in ("autonomous", "assisted"))
         say(f"seed {one.key.seed}: test {alone:.1f} alone, {with_crew:.1f} with the crew")

@@ -1,11 +1,11 @@
 """How the trained human that comes with the package is made: what they expect, and their hands.
 
-A crew of mediocre walkers is trained first. What came of the poses of its members is what the human
-has seen (`human.experience`). Then new walkers learn to walk while members of the crew take the
-controls now and then, and give them back where a stumble shows, or at some time before. What a
-member does is in the replay, so that a walker learns from it, and what it learns is to recover. Of
-several, the one whose tests with the crew have the greatest return becomes the hands
-(`human.trained_walker`).
+A crew of mediocre walkers, of two kinds of learner, is trained first. What came of the poses of its
+members is what the human has seen (`human.experience`). Then new walkers learn to walk while
+members of the crew take the controls now and then, and give them back where the human expects a
+fall, or at some time before. What a member does is in the replay, so that a walker learns from it,
+and what it learns is to recover. Of several, the one whose tests with the crew have the greatest
+return becomes the hands (`human.trained_walker`).
 """
 
 from collections.abc import Callable, Sequence
@@ -23,8 +23,7 @@ from hitl_jax.envs import make_pool
 from hitl_jax.evaluation.host import HostExaminer, play_trial
 from hitl_jax.evaluation.trials import Trial
 from hitl_jax.human.actions import ActionSource
-from hitl_jax.human.foresight import overreach
-from hitl_jax.human.indicator import WALKER_OBSERVATION, hull_angle
+from hitl_jax.human.indicator import WALKER_OBSERVATION
 from hitl_jax.human.params import HumanParams
 from hitl_jax.human.part import HumanPart, unmoved
 from hitl_jax.learner import adam
@@ -36,8 +35,11 @@ from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec
 from hitl_jax.types import Params
 
-CREW_SEEDS, HANDS_SEEDS = range(1000, 1006), range(1010, 1013)
-"""None of those that a sweep reports or is tuned on."""
+CREW_SEEDS = {"ddpg": range(1000, 1012), "td3-tqc": range(1012, 1016)}
+"""Of the crew, by task learner: many, since hands must know what gait they are given."""
+
+HANDS_SEEDS = range(1020, 1023)
+"""None of these seeds is one that a sweep reports or is tuned on."""
 
 _SNAPSHOTS = 8
 """Of each member's training: what the human has seen."""
@@ -51,18 +53,14 @@ _RELIEF = 0.02
 _BEGINS, _GIVES_BACK = 0.012, 0.008
 """Probability a step that a member takes the controls, and that it gives them back unstumbled."""
 
-_OVERREACH = (2.0, 3.6)
-"""Least and greatest overreach at which a member gives back [m]; drawn anew while none holds."""
-
-_TILT, _TILT_SPAN = 0.25, 0.16
-"""Least tilt at which a member gives back, and by how much that grows with the overreach [rad]."""
+_EXPECTATION = (0.02, 0.8)
+"""Least and greatest probability of a fall at which a member gives back; drawn anew, its logarithm
+evenly, while none holds."""
 
 EXPERIENCE_SIZES = (64, 64)
 """Hidden layers of what the human expects."""
 
 _BATCH, _LEARNING_RATE, _UPDATES = 512, 1e-3, 20_000
-
-_CREW = AgentConfig(learner="ddpg")
 
 _HYPER = Hyper(
     boundary_low=0.0,
@@ -87,18 +85,22 @@ def train_crew(episodes: int, test_episodes: int, watch: Watch) -> list[Tested]:
     """
     points = tuple(episodes * part // _SNAPSHOTS for part in range(1, _SNAPSHOTS + 1))
     hyper = hyper_for(Method.SRL, Hyper())
-    specs = [RunSpec(Method.SRL, seed, hyper, episodes, points) for seed in CREW_SEEDS]
-    agent = make_agent(_CREW)
-    return _trained("crew", agent, specs, test_episodes, watch)
+    crew: list[Tested] = []
+    for learner, seeds in CREW_SEEDS.items():
+        specs = [RunSpec(Method.SRL, seed, hyper, episodes, points) for seed in seeds]
+        agent = make_agent(AgentConfig(learner=learner))
+        crew += _trained(f"crew-{learner}", agent, specs, test_episodes, watch)
+    return crew
 
 
 def train_hands(
-    crew: Sequence[Tested], episodes: int, test_episodes: int, watch: Watch
+    crew: Sequence[Tested], expects: Params, episodes: int, test_episodes: int, watch: Watch
 ) -> list[Tested]:
     """Trains walkers that are given the controls by a crew.
 
     Args:
         crew: of `train_crew`.
+        expects: of `gain_experience`.
         episodes: training episodes of each.
         test_episodes: of each, alone and with the crew.
         watch: see `train_and_test`.
@@ -110,7 +112,7 @@ def train_hands(
         kept.behavior.actor for one in crew for kept in one.finished.run.snapshots[_RELAYING]
     ]
     config = AgentConfig(intervention="takeover")
-    agent = make_agent(config, judge=relay(), source=crew_actions(policies))
+    agent = make_agent(config, judge=relay(expects), source=crew_actions(policies))
     hyper = hyper_for(Method.HITL_FIX, _HYPER)
     specs = [RunSpec(Method.HITL_FIX, seed, hyper, episodes) for seed in HANDS_SEEDS]
     return _trained("hands", agent, specs, test_episodes, watch)
@@ -134,7 +136,7 @@ def gain_experience(crew: Sequence[Tested], episodes: int, say: Callable[[str], 
     Returns:
         Parameters of a `RiskNetwork` of `EXPERIENCE_SIZES`.
     """
-    agent = make_agent(_CREW)
+    agent = make_agent(AgentConfig())  # Tests ask it for actors alone, and these are alike.
     seen: list[np.ndarray] = []
     falls: list[np.ndarray] = []
     with make_pool("lean", episodes * _SNAPSHOTS) as pool:
@@ -202,8 +204,13 @@ def best_hands(hands: Sequence[Tested]) -> Tested:
     return max(hands, key=lambda one: mean_return(one, "assisted"))
 
 
-def relay() -> HumanPart:
-    """Who judges for a crew: dangerous, and so in its hands, from a random step to a stumble."""
+def relay(expects: Params) -> HumanPart:
+    """Who judges for a crew: dangerous, and so in its hands, from a random step to a stumble.
+
+    Args:
+        expects: of `gain_experience`: what tells a stumble.
+    """
+    network = RiskNetwork(EXPERIENCE_SIZES)
 
     def judge(
         state: tuple[chex.Array, chex.Array],
@@ -214,18 +221,17 @@ def relay() -> HumanPart:
     ) -> tuple[tuple[chex.Array, chex.Array], chex.Array]:
         del params, dangerous
         holds, limit = state
-        least, most = _OVERREACH
         keys = jax.random.split(key, 3)
-        tilt = _TILT + _TILT_SPAN * (limit - least) / (most - least)
-        stumbles = (overreach(observation) >= limit) | (jnp.abs(hull_angle(observation)) >= tilt)
+        stumbles = jax.nn.sigmoid(network.apply(expects, observation)) >= limit
         gives_back = stumbles | (jax.random.uniform(keys[0]) < _GIVES_BACK)
         begins = (jax.random.uniform(keys[1]) < _BEGINS) & ~stumbles
-        fresh = jax.random.uniform(keys[2], minval=least, maxval=most)
+        least, most = jnp.log(jnp.array(_EXPECTATION))
+        fresh = jnp.exp(jax.random.uniform(keys[2], minval=least, maxval=most))
         after = jnp.where(holds, ~gives_back, begins)
         return (after, jnp.where(holds, limit, fresh)), after
 
     return HumanPart(
-        init=lambda: (jnp.zeros((), bool), jnp.full((), _OVERREACH[0], jnp.float32)),
+        init=lambda: (jnp.zeros((), bool), jnp.full((), _EXPECTATION[0], jnp.float32)),
         begin_episode=lambda state: (jnp.ones((), bool), state[1]),
         judge=judge,
         notify=unmoved,
