@@ -30,14 +30,15 @@ class HumanOptions:
     """Train a human who foresees falls, and whose hands can walk on.
 
     Attributes:
-        crew_episodes: training episodes of each walker that stumbles.
+        crew_episodes: training episodes of each walker of `ddpg` that stumbles; of `td3-tqc` half as
+            many.
         episodes: training episodes of each that learns to go on.
         test_episodes: of each.
         out: folder of the files, made if need be.
     """
 
-    crew_episodes: int = 600
-    episodes: int = 1500
+    crew_episodes: int = 500
+    episodes: int = 1200
     test_episodes: int = 50
     out: str = "runs/human"
 
@@ -56,7 +57,7 @@ def main(options: HumanOptions) -> int:
     """
     out = pathlib.Path(options.out)
     with checking_input():
-        require_whole("crew_episodes", options.crew_episodes, at_least=8)
+        require_whole("crew_episodes", options.crew_episodes, at_least=16)
         require_whole("episodes", options.episodes, at_least=1)
         require_whole("test_episodes", options.test_episodes, at_least=1)
         require_backend("lean")

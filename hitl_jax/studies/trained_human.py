@@ -35,8 +35,11 @@ from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec
 from hitl_jax.types import Params
 
-CREW_SEEDS = {"ddpg": range(1000, 1012), "td3-tqc": range(1012, 1016)}
+CREW_SEEDS = {"ddpg": range(1000, 1008), "td3-tqc": range(1008, 1012)}
 """Of the crew, by task learner: many, since hands must know what gait they are given."""
+
+_SHARE = {"ddpg": 1.0, "td3-tqc": 0.5}
+"""Of the crew's episodes that a member is trained for: by then both kinds walk, and stumble."""
 
 HANDS_SEEDS = range(1020, 1023)
 """None of these seeds is one that a sweep reports or is tuned on."""
@@ -76,18 +79,19 @@ def train_crew(episodes: int, test_episodes: int, watch: Watch) -> list[Tested]:
     """Trains the walkers that stumble.
 
     Args:
-        episodes: training episodes of each.
+        episodes: training episodes of each of `ddpg`; of `td3-tqc` half as many.
         test_episodes: of each.
         watch: see `train_and_test`.
 
     Returns:
         Ended runs, each with a snapshot at every eighth of its training.
     """
-    points = tuple(episodes * part // _SNAPSHOTS for part in range(1, _SNAPSHOTS + 1))
     hyper = hyper_for(Method.SRL, Hyper())
     crew: list[Tested] = []
     for learner, seeds in CREW_SEEDS.items():
-        specs = [RunSpec(Method.SRL, seed, hyper, episodes, points) for seed in seeds]
+        last = int(episodes * _SHARE[learner])
+        points = tuple(last * part // _SNAPSHOTS for part in range(1, _SNAPSHOTS + 1))
+        specs = [RunSpec(Method.SRL, seed, hyper, last, points) for seed in seeds]
         agent = make_agent(AgentConfig(learner=learner))
         crew += _trained(f"crew-{learner}", agent, specs, test_episodes, watch)
     return crew

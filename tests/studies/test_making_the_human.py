@@ -55,7 +55,7 @@ def test_members_of_a_crew_act_in_turns():
 
 
 def test_both_files_are_made_and_read(tmp_path, capsys):
-    words = ["--crew-episodes", "8", "--episodes", "2", "--test-episodes", "1"]
+    words = ["--crew-episodes", "16", "--episodes", "2", "--test-episodes", "1"]
     out = tmp_path / "hands"
     assert run_main("human", command.main, [*words, "--out", str(out)]) == 0
     assert capsys.readouterr().out.count("with the crew") == len(HANDS_SEEDS)
@@ -66,8 +66,8 @@ def test_both_files_are_made_and_read(tmp_path, capsys):
 
 
 def test_bad_options_are_one_line(tmp_path, capsys):
-    assert run_main("human", command.main, ["--crew-episodes", "7"]) == 2
-    assert "error: --crew-episodes 7: must be at least 8" in capsys.readouterr().err
+    assert run_main("human", command.main, ["--crew-episodes", "15"]) == 2
+    assert "error: --crew-episodes 15: must be at least 16" in capsys.readouterr().err
     (tmp_path / "file").touch()
     assert run_main("human", command.main, ["--out", str(tmp_path / "file")]) == 2
     assert "error: --out" in capsys.readouterr().err
