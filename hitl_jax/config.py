@@ -189,6 +189,8 @@ class Hyper:
         boundary_high: greatest boundary.
         boundary_noise: standard deviation of the exploration of π_θ; with `margin` the scale of
             Cauchy's.
+        boundary_temperature: with `margin`, what the entropy of the alarm is worth to line 12, in
+            units of the reward; 0 is nothing.
         boundary_actor_learning_rate: α^θ.
         boundary_critic_learning_rate: α^ω.
         risk_learning_rate: Adam's step size for the risk critic.
@@ -220,6 +222,7 @@ class Hyper:
     boundary_low: float = number(0.05, 0.0)
     boundary_high: float = number(1.5)
     boundary_noise: float = number(0.02, 0)
+    boundary_temperature: float = number(0.0, 0)
     boundary_actor_learning_rate: float = number(1e-4, 0.0)
     boundary_critic_learning_rate: float = number(1e-3, 0.0)
     risk_learning_rate: float = number(3e-4, 0.0)

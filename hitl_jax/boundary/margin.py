@@ -6,7 +6,10 @@ with the alarm and without, and the probability of the alarm between them:
     Q_ω(s, τ) = P(C | τ) Q_ω(s, C) + (1 − P(C | τ)) Q_ω(s, not C),
 
 P(C | τ) = P(|c| ≥ τ + noise) under the exploration. That is smooth in τ. It is greatest where the
-alarm is raised if it is worth more than none, and line 12 moves π_θ there.
+alarm is raised if it is worth more than none, and line 12 moves π_θ there. With a temperature T it
+ascends the entropy of the alarm too, as maximum-entropy learners do (Haarnoja et al. 2018): then
+π_θ comes to rest where logit P(C) is the advantage of an alarm by T, and |c| − π_θ(s) tells how
+much it is worth.
 """
 
 import dataclasses
@@ -52,6 +55,10 @@ critics themselves), half of each minibatch with alarms (else as they come), a t
 sample (else single steps), line 8's move in the target (else none), and a critic that is told which
 episodes have action noise, so that line 12 can ask for values without, and that sees |c| beside the
 state (else it does not)."""
+
+
+_RAREST = 1e-4
+"""Of an alarm's probability, the least that its entropy goes by."""
 
 
 def alarm_probability(
@@ -237,14 +244,17 @@ class MarginLearner(BoundaryNetworks):
     def _actor_loss(
         self, actor: Params, hyper: Any, critic: Params, batch: BoundaryTransition
     ) -> tuple[chex.Array, Metrics]:
-        """What line 12 descends: −mean Q_ω(s_i, π_θ(s_i)), but for what does not depend on θ."""
+        """What line 12 descends, by its gradient: −mean [Q_ω(s_i, π_θ(s_i)) + T entropy of C]."""
         assert batch.indicator is not None
         no_noise = jnp.zeros_like(batch.reward)
         without, with_alarm = self._values(critic, batch.observation, batch.indicator, no_noise)
         advantage = jax.lax.stop_gradient(jnp.mean(with_alarm - without, axis=0))
         boundary = self.boundary(hyper, actor, batch.observation)
         likely = self._likely(hyper, batch.indicator, boundary)
-        loss = -jnp.mean(advantage * likely * _weights(batch))
+        # The gradient of the alarm's entropy, −logit P(C), beside that of its value.
+        logit = jax.scipy.special.logit(jnp.clip(likely, _RAREST, 1.0 - _RAREST))
+        gain = jax.lax.stop_gradient(advantage - hyper.boundary_temperature * logit)
+        loss = -jnp.mean(gain * likely * _weights(batch))
         return loss, {
             "boundary_actor_loss": loss,
             "boundary_alarm_advantage": jnp.mean(advantage * _weights(batch)),

@@ -30,8 +30,8 @@ class HumanOptions:
     """Train a human who foresees falls, and whose hands can walk on.
 
     Attributes:
-        crew_episodes: training episodes of each walker of `ddpg` that stumbles; of `td3-tqc` half as
-            many.
+        crew_episodes: training episodes of each walker of `ddpg` that stumbles; of `td3-tqc` half
+            as many.
         episodes: training episodes of each that learns to go on.
         test_episodes: of each.
         out: folder of the files, made if need be.

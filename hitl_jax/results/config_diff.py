@@ -30,6 +30,7 @@ CAME_LATER: dict[str, dict[str, Any]] = {
         "extra": {},
         "risk_learning_rate": 3e-4,
         "unattended_every": 0,
+        "boundary_temperature": 0.0,
     },
 }
 """Choices added since results were kept, by section, and the value that changes nothing."""

@@ -100,6 +100,20 @@ def test_from_any_initial_boundary_alarms_are_raised_where_they_pay(initial):
         np.testing.assert_allclose(without[:, danger].mean(), -5.0, atol=0.5)
 
 
+def test_with_a_temperature_the_margin_tells_what_an_alarm_is_worth():
+    hyper = _HYPER.replace(boundary_temperature=1.0, initial_boundary=0.7, boundary_low=0.0)
+    state = _LEARNER.init(jax.random.key(1), jax.random.key(2))
+    state, _ = _learn(hyper, state, jax.random.key(3))
+    for first, advantage in ((0.5, 6.0), (-0.5, -1.0)):
+        seen = jnp.full((1, 2), first).at[:, 1].set(0.9)
+        boundary = _LEARNER.boundary(hyper, state.actor, seen)
+        likely = alarm_probability(0.4 + 0.2 * 0.9 - boundary, hyper.boundary_noise)
+        # Within the bounds, which a boundary would have to leave to be more certain.
+        surest = alarm_probability(jnp.float32(0.58), hyper.boundary_noise)
+        expected = jnp.minimum(jax.nn.sigmoid(advantage), surest)
+        np.testing.assert_allclose(likely, expected, atol=0.06)
+
+
 def _memory(alarms, steps=256):
     """A run of which these steps raised an alarm."""
     layout = Layout(1, 1)
