@@ -176,7 +176,8 @@ class Hyper:
         noise_correlation: correlation of the action noise from step to step; 0 is white. The noise
             starts from 0 in every episode.
         noise_free_every: of so many training episodes the last is played without action noise, as
-            the test will be; 0 is none.
+            the test will be; 0 is none. What is learned of the risk and of alarms without noise
+            comes from these.
         unattended_every: of so many training episodes the last is walked without the human, as the
             test will be: no alarm is raised; 0 is none.
         warmup_steps: environment steps of uniformly random actions before learning.

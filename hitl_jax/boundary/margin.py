@@ -58,7 +58,7 @@ state (else it does not)."""
 
 
 _RAREST = 1e-4
-"""Of an alarm's probability, the least that its entropy goes by."""
+"""Least probability of an alarm, and of none, of which a logarithm is taken."""
 
 
 def alarm_probability(

@@ -3,8 +3,7 @@
 Tests the trained walkers of HITL-FIX and HITL-AC once more, on the terrains of their tests: alone,
 and with the human, who is called by the run's own boundary, by a fixed boundary, by the hull's
 angle, and by chance, at several rates of alarms: the run's own human, who has to agree, and one who
-trusts every alarm. So returns and falls are compared at equal shares
-of the steps in human hands.
+trusts every alarm. So returns and falls are compared at equal shares of the steps in human hands.
 """
 
 import dataclasses

@@ -94,5 +94,5 @@ class _Progress:
             return
         self._due = time.monotonic() + _SECONDS
         runs = rollout.runs()
-        done = sum(len(run.episodes) for run in runs)
-        say(f"{self._name}: {done} of {sum(run.spec.episodes for run in runs)} episodes")
+        left = sum(run.spec.episodes - len(run.episodes) for run in runs)
+        say(f"{self._name}: {left} episodes left of this batch")

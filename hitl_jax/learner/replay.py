@@ -11,7 +11,7 @@ transition reads `seen` of two frames and `outcome` of n, and reading memory is 
 
 Memory: capacity · R · width · 4 bytes, with width = O + A + 9. BipedalWalker has width 37: 200,000
 frames of one run take 30 MB, of thirty runs 890 MB. The pool D of Algorithm 1 is the same ring read
-through `sample_boundary`: it needs three of its columns more than the task does.
+through `sample_boundary`: it needs more of its columns than the task does.
 """
 
 import dataclasses

@@ -145,8 +145,12 @@ def _at_rates(rows: Rows, rules: list[str], alone: float, fell: float) -> str:
         "return above that alone",
         "falls, as a part of those alone",
     )
-    head = "At equal rates of alarms (with 100 % the human is always asked, whatever the rule):"
-    return f"\n{head}\n\n{table([columns, *lines])}\n"
+    head = (
+        "At equal rates of alarms. With 100 % the human is always asked, but by the learned "
+        "boundary, which stays within its bounds. A takeover lasts a second at least: who trusts "
+        "chance has the controls most of the time from 5 % on.\n"
+    )
+    return f"\n{head}\n{table([columns, *lines])}\n"
 
 
 def _warnings(rows: Rows) -> str:

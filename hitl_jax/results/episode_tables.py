@@ -47,7 +47,7 @@ _NUMBER = r"(?:-?[0-9]+(?:\.[0-9]+)?(?:e[-+]?[0-9]+)?|nan|)"
 _MOST_COUNT = 2**53
 _GREATEST = 1e30
 """Of what is measured: greater numbers are none, and their sums overflow."""
-_LONGEST_CELL = 500
+_LONGEST_CELL = 1000
 _MAY_BE_NAN = tuple(measure.name for measure in MEASURES if measure.may_be_nan)
 _ABSENT = {measure.name: measure.absent for measure in MEASURES if measure.absent is not None}
 """Values of columns that came later, in tables that were written without them."""

@@ -58,7 +58,8 @@ class RiskLearner:
         self, critic: RiskCritic, observation: chex.Array, explores: chex.Array
     ) -> chex.Array:
         logits = self._logits(critic.network, observation, explores)
-        return jax.nn.sigmoid(jnp.exp(critic.slope) * logits + critic.offset)
+        quiet = 1.0 - explores  # The correction is fitted to states without action noise.
+        return jax.nn.sigmoid(jnp.exp(critic.slope * quiet) * logits + critic.offset * quiet)
 
     def _logits(self, network: Params, observation: chex.Array, explores: chex.Array) -> chex.Array:
         seen = jnp.concatenate([observation, explores[..., None]], axis=-1)

@@ -35,11 +35,9 @@ from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec
 from hitl_jax.types import Params
 
-CREW_SEEDS = {"ddpg": range(1000, 1008), "td3-tqc": range(1008, 1012)}
-"""Of the crew, by task learner: many, since hands must know what gait they are given."""
-
-_SHARE = {"ddpg": 1.0, "td3-tqc": 0.5}
-"""Of the crew's episodes that a member is trained for: by then both kinds walk, and stumble."""
+CREW = {"ddpg": (range(1000, 1008), 1.0), "td3-tqc": (range(1008, 1012), 0.5)}
+"""Of the crew, by task learner: seeds, many, so that the hands meet many gaits; and for what share
+of the crew's episodes each is trained: then members of both kinds walk, but still fall."""
 
 HANDS_SEEDS = range(1020, 1023)
 """None of these seeds is one that a sweep reports or is tuned on."""
@@ -88,8 +86,8 @@ def train_crew(episodes: int, test_episodes: int, watch: Watch) -> list[Tested]:
     """
     hyper = hyper_for(Method.SRL, Hyper())
     crew: list[Tested] = []
-    for learner, seeds in CREW_SEEDS.items():
-        last = int(episodes * _SHARE[learner])
+    for learner, (seeds, share) in CREW.items():
+        last = int(episodes * share)
         points = tuple(last * part // _SNAPSHOTS for part in range(1, _SNAPSHOTS + 1))
         specs = [RunSpec(Method.SRL, seed, hyper, last, points) for seed in seeds]
         agent = make_agent(AgentConfig(learner=learner))
@@ -226,7 +224,8 @@ def relay(expects: Params) -> HumanPart:
         del params, dangerous
         holds, limit = state
         keys = jax.random.split(key, 3)
-        stumbles = jax.nn.sigmoid(network.apply(expects, observation)) >= limit
+        logit: chex.Array = network.apply(expects, observation)
+        stumbles = jax.nn.sigmoid(logit) >= limit
         gives_back = stumbles | (jax.random.uniform(keys[0]) < _GIVES_BACK)
         begins = (jax.random.uniform(keys[1]) < _BEGINS) & ~stumbles
         least, most = jnp.log(jnp.array(_EXPECTATION))

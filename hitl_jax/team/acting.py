@@ -309,8 +309,8 @@ def _noise_free(hyper: RunHyper, state: ActingState) -> chex.Array:
 
 def _explores(hyper: RunHyper, state: ActingState) -> chex.Array:
     """Whether the machine's action is not as in a test, where some episodes' are."""
-    noisy = ~_noise_free(hyper, state) | acts_at_random(hyper, state.steps)
-    return (hyper.noise_free_every > 0) & noisy
+    noisy = ~_noise_free(hyper, state) & (hyper.exploration_noise > 0)
+    return (hyper.noise_free_every > 0) & (noisy | acts_at_random(hyper, state.steps))
 
 
 def _is_last_of(episodes: chex.Array, every: chex.Array) -> chex.Array:

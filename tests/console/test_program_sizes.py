@@ -1,7 +1,8 @@
 """No program of ours is large: how long XLA compiles goes by the instructions in its kernels.
 
-They are counted, not timed: that is the same on every machine. XLA computes a value again in each
-kernel that uses it, so that a careless line can double a program (docs/walker.md).
+They are counted, not timed, so that the speed of a machine does not matter. XLA computes a value
+again in each kernel that uses it: a careless line can double a program (docs/walker.md). What takes
+long for another reason is not seen here.
 """
 
 import os

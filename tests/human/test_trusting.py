@@ -12,11 +12,11 @@ from hitl_jax.team import acting
 from hitl_jax.team.agent import behavior, init, make_agent
 
 
-def _controls(human, angles, **hyper):
+def _controls(human, angles, delay=0):
     """Whether the human has the controls at each step, the hull's angle being given."""
     config = AgentConfig(intervention="takeover", boundary_source="rule")
     agent = make_agent(config, judge=human)
-    given = Hyper(takeover_steps=3, initial_boundary=0.2, human=HumanParams(), **hyper)
+    given = Hyper(takeover_steps=3, initial_boundary=0.2, human=HumanParams(delay=delay))
     run = hyper_for(Method.HITL_FIX, given)
     params = behavior(init(agent, jax.random.key(0)))
     state = acting.begin_episode(agent, acting.init_acting(agent, run, jax.random.key(1)))
@@ -37,6 +37,11 @@ def test_every_alarm_is_followed_and_the_judgement_ends_a_takeover():
     judged = _controls(own, _ANGLES)
     assert judged.nonzero()[0].tolist() == [6, 7, 8, 9, 10]
     assert _controls(trusting(own), _ANGLES).nonzero()[0].tolist() == [1, 2, 3, 6, 7, 8, 9, 10]
+
+
+def test_who_is_slow_follows_at_once_and_gives_back_late():
+    held = _controls(trusting(simulated_human("threshold")), _ANGLES, delay=2)
+    assert held.nonzero()[0].tolist() == [1, 2, 3, 6, 7, 8, 9, 10, 11, 12]
 
 
 def test_begun_anew_nobody_has_the_controls():

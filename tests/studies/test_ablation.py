@@ -13,6 +13,7 @@ from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.console.cli import run_main
 from hitl_jax.console.progress import Progress
 from hitl_jax.errors import ResultsError
+from hitl_jax.results import episode_tables
 from hitl_jax.results.atomic_files import locked
 from hitl_jax.studies.ablations import runs
 from hitl_jax.studies.ablations.options import AblationOptions
@@ -178,6 +179,7 @@ def test_every_setting_can_be_made_and_has_a_label_of_its_own():
         assert not any("|" in label for label in labels)  # They stand in a Markdown table.
         for setting in one.settings:
             changed(setting.changes)
+            assert len(setting.name) <= episode_tables._LONGEST_CELL
 
 
 def test_the_help_names_every_ablation():
