@@ -72,7 +72,6 @@ _FORESIGHT: Changes = {
     "boundary_source": "network",
     "boundary_learner": "margin",
     "boundary_hidden_sizes": (64, 64),
-    "indicator": "fall_risk",
     "danger": "experienced",
     "human_actions": "trained",
     "intervention": "takeover",
@@ -82,10 +81,9 @@ _FORESIGHT: Changes = {
     "alarm_reward": 60.0,
     "noise_free_every": 2,
     "unattended_every": 4,
-    "boundary_low": 0.01,
-    "boundary_high": 1.0,
-    "initial_boundary": 0.3,
+    "boundary_low": 0.0,
     "boundary_noise": 0.1,
+    "boundary_temperature": 15.0,
 }
 """As `foresight_ddpg` in results/README.md."""
 
@@ -222,14 +220,18 @@ ABLATIONS: dict[str, Ablation] = {
         (
             Setting("all of margin", _FORESIGHT),
             *(_without(part) for part in MARGIN_PARTS),
-            Setting("printed", _FORESIGHT | {"boundary_learner": "printed"}),
+            Setting("without a temperature", _FORESIGHT | {"boundary_temperature": 0.0}),
+            Setting(
+                "printed",
+                _FORESIGHT | {"boundary_learner": "printed", "boundary_temperature": 0.0},
+            ),
         ),
     ),
     "boundary-start": Ablation(
-        "τ_0 of an executed boundary on the risk of a fall",
+        "τ_0 of an executed boundary [rad]",
         tuple(
             Setting(f"{start:g}", _FORESIGHT | {"initial_boundary": start})
-            for start in (0.05, 0.2, 0.4, 0.6, 0.9)
+            for start in (0.1, 0.4, 0.7, 1.0, 1.4)
         ),
         is_number=True,
     ),
