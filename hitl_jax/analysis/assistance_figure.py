@@ -206,6 +206,9 @@ def _figure(rows: Rows) -> Figure | None:
     teams = [(method, human) for method in methods for human in HUMANS]
     figure, axes_of = panels(2, len(teams), (PAGE, 4.6))
     above, below = axes_of[: len(teams)], axes_of[len(teams) :]
+    for first, *others in (above, below):
+        for other in others:
+            other.sharey(first)
     lines: dict[str, Any] = {}
     for *column, (method, human) in zip(above, below, teams, strict=True):
         for rule in rules_of(rows, method):
