@@ -112,13 +112,13 @@ def load(path: pathlib.Path) -> Rows:
 
 def _require_alone(rows: Rows) -> None:
     """Raises ValueError where a run was not played alone once, or a rule called nobody."""
-    if ((rows["rule"] == ALONE) != (rows["human"] == NOBODY)).any():
-        raise ValueError(f"human {NOBODY} must stand beside rule {ALONE}, and there alone")
     runs = list(zip(rows["method"].tolist(), rows["seed"].tolist(), strict=True))
     alone = [run for run, rule in zip(runs, rows["rule"], strict=True) if rule == ALONE]
     for method, seed in dict.fromkeys(runs):
         if (times := alone.count((method, seed))) != 1:
             raise ValueError(f"{method} seed {seed:g}: played {ALONE} {times} times")
+    if ((rows["rule"] == ALONE) != (rows["human"] == NOBODY)).any():
+        raise ValueError(f"human {NOBODY} must stand beside rule {ALONE}, and there alone")
 
 
 def _require_equal(rows: Rows) -> None:
