@@ -79,6 +79,8 @@ def test_it_is_drawn(folder):
         (lambda text: text.replace("trusts", "obeys"), "human 'obeys'"),
         (lambda text: text.replace("1000", "0", 1), "steps must be at least 1"),
         (lambda text: text.replace("alone", "chance"), "hitl-ac seed 0: played alone 0 times"),
+        (lambda text: text.replace("chance,judges", "chance,nobody", 1), "human nobody must stand"),
+        (lambda text: text.replace("alone,nobody", "alone,judges", 1), "human nobody must stand"),
         (lambda text: text.replace("120.0", "many"), "return_mean"),
         (lambda text: text.replace("0.1,", "0.3,", 1), "hitl-ac: its runs were not played at the"),
     ],

@@ -106,6 +106,17 @@ def test_it_learns_how_likely_a_fall_is_and_says_so_of_what_it_has_not_seen(nois
     assert np.isfinite([np.asarray(value) for value in metrics.values()]).all()
 
 
+def test_the_correction_is_of_states_without_action_noise():
+    learner = RiskLearner(2, (8,), horizon=4, batch_size=2)
+    critic = learner.init(jax.random.key(0)).critic
+    moved = critic.replace(slope=jnp.float32(0.5), offset=jnp.float32(-1.0))
+    seen = jnp.ones((2, 2))
+    for explores, equal in ((0.0, False), (1.0, True)):
+        told = jnp.full(2, explores)
+        before, after = (learner._risk(one, seen, told) for one in (critic, moved))
+        assert bool(jnp.array_equal(before, after)) is equal
+
+
 def test_the_correction_moves_all_logits_alike():
     learner = RiskLearner(2, (4,), horizon=3, batch_size=8)
     critic = learner.init(jax.random.key(0)).critic

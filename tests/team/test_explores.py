@@ -35,6 +35,7 @@ def _told(**hyper):
         ({"noise_free_every": 2, "warmup_steps": 3}, [1, 1, 1, 0, 1]),
         ({"noise_free_every": 0, "warmup_steps": 3}, [0, 0, 0, 0, 0]),
         ({"noise_free_every": 1, "warmup_steps": 0}, [0, 0, 0, 0, 0]),
+        ({"noise_free_every": 2, "warmup_steps": 3, "exploration_noise": 0.0}, [1, 1, 1, 0, 0]),
     ],
 )
 def test_noise_and_the_warm_up_are_told_where_some_episodes_have_none(hyper, told):

@@ -85,7 +85,7 @@ _FORESIGHT: Changes = {
     "boundary_noise": 0.1,
     "boundary_temperature": 15.0,
 }
-"""As `foresight_ddpg` in results/README.md."""
+"""As `foresight_angle` in results/README.md, but for the number of episodes."""
 
 
 def _without(part: str) -> Setting:
