@@ -14,7 +14,8 @@ class ReportOptions:
 
     Attributes:
         results: the folder, with `ten_seeds`, `ten_seeds_ddpg`, `foresight`, `foresight_ddpg`,
-            `ablations`, `network` and `tuning` in it; what is missing is said in the report.
+            `foresight_angle`, `ablations`, `network` and `tuning` in it; what is missing is said in
+            the report.
     """
 
     results: str = "results"
