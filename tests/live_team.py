@@ -151,6 +151,13 @@ def say(page, kind, **fields):
     page.send(json.dumps({"type": kind, **fields}))
 
 
+def flood(page, message):
+    """Sends a message 2000 times, or until the server closes the socket."""
+    with contextlib.suppress(ConnectionClosed):
+        for _ in range(2000):
+            page.send(message)
+
+
 def why_closed(page):
     """The code and reason with which the server closes a page's socket."""
     with contextlib.suppress(ConnectionClosed):
