@@ -45,7 +45,7 @@ class BoundaryTransition:
         indicator: c_t, []; None where nobody looks at it.
         next_indicator: c_{t+1}, [], likewise.
         counts: 0 where the boundary decided nothing, [], likewise.
-        alarmed: whether r'_t was not 0, bool [], likewise.
+        boundary_reward: r'_t, [], likewise.
         explores: `Frame.explores` of the step, [], likewise.
     """
 
@@ -58,7 +58,7 @@ class BoundaryTransition:
     indicator: chex.Array | None = None
     next_indicator: chex.Array | None = None
     counts: chex.Array | None = None
-    alarmed: chex.Array | None = None
+    boundary_reward: chex.Array | None = None
     explores: chex.Array | None = None
 
 

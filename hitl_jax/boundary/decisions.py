@@ -75,7 +75,7 @@ def sample_decisions(
         next_observation=after[:, layout.observation],
         next_boundary=came(begin, layout.next_boundary),
         counts=counts.astype(jnp.float32),
-        alarmed=came(begin, layout.boundary_reward) != 0.0,
+        boundary_reward=came(begin, layout.boundary_reward),
         explores=came(begin, layout.explores),
     )
     # Before that the ring has frames of another run, which must not matter.

@@ -6,10 +6,15 @@ with the alarm and without, and the probability of the alarm between them:
     Q_ω(s, τ) = P(C | τ) Q_ω(s, C) + (1 − P(C | τ)) Q_ω(s, not C),
 
 P(C | τ) = P(|c| ≥ τ + noise) under the exploration. That is smooth in τ. It is greatest where the
-alarm is raised if it is worth more than none, and line 12 moves π_θ there. With a temperature T it
-ascends the entropy of the alarm too, as maximum-entropy learners do (Haarnoja et al. 2018): then
-π_θ comes to rest where logit P(C) is the advantage of an alarm by T, and |c| − π_θ(s) tells how
-much it is worth.
+alarm is raised if it is worth more than none, and line 12 moves π_θ there. With a temperature T
+line 12 ascends the entropy of the alarm too, as maximum-entropy learners do (Haarnoja et al. 2018):
+then π_θ comes to rest where logit P(C) is the advantage of an alarm by T, and |c| − π_θ(s) tells
+how much it is worth.
+
+Nothing but r' follows from an alarm that the human does not confirm. So its value is put together
+from what the machine and the human come to, and from the probability that the human confirms it:
+
+    Q_ω(s, C) = P(h = 0) (Q_ω(s, u = 1) + ρ) + (1 − P(h = 0)) (Q_ω(s, not C) − ρ).
 """
 
 import dataclasses
@@ -38,6 +43,7 @@ from hitl_jax.types import BoundaryState, BoundaryTransition, Params
     LINE_8,
     NOISE_TOLD,
     SEES_INDICATOR,
+    JUDGEMENT,
 ) = MARGIN_PARTS = (
     "heavy_tails",
     "often",
@@ -48,13 +54,15 @@ from hitl_jax.types import BoundaryState, BoundaryTransition, Params
     "line_8",
     "noise_told",
     "sees_indicator",
+    "judgement",
 )
 """What makes up the learner, each of which can be left out: exploration by Cauchy's noise (else
 normal), four updates in a call of the learner (else one), two critics (else one), targets (else the
 critics themselves), half of each minibatch with alarms (else as they come), a takeover as one
 sample (else single steps), line 8's move in the target (else none), and a critic that is told which
-episodes have action noise, so that line 12 can ask for values without, and that sees |c| beside the
-state (else it does not)."""
+episodes have action noise, so that line 12 can ask for values without, that sees |c| beside the
+state (else it does not), and that foretells the human's judgement (else it has one value of an
+alarm, whatever the human says)."""
 
 
 _RAREST = 1e-4
@@ -77,20 +85,19 @@ def alarm_probability(
     return jax.scipy.stats.norm.cdf(distance)
 
 
-def alarm_values(
-    apply: Any, critic: Params, observation: chex.Array, size: chex.Array, explores: chex.Array
-) -> tuple[chex.Array, chex.Array]:
-    """Q_ω(s, not C) and Q_ω(s, C) of each critic, [E, N] each.
+def alarm_value(
+    without: chex.Array, confirmed: chex.Array, logit: chex.Array, alarm_reward: chex.Array
+) -> chex.Array:
+    """Q_ω(s, C), [...], from what may follow an alarm; see the module.
 
     Args:
-        apply: of the critic.
-        critic: parameters of E critics, stacked.
-        observation: [N, O].
-        size: |c|, [N].
-        explores: whether there is action noise, [N].
+        without: Q_ω(s, not C), [...].
+        confirmed: Q_ω(s, u = 1), without ρ, [...].
+        logit: of P(h = 0), [...].
+        alarm_reward: ρ, [].
     """
-    values = jax.vmap(lambda own: apply(own, observation, size, explores))(critic)
-    return values[..., 0], values[..., 1]
+    danger = jax.nn.sigmoid(logit)
+    return danger * (confirmed + alarm_reward) + (1.0 - danger) * (without - alarm_reward)
 
 
 def _weights(batch: BoundaryTransition) -> chex.Array:
@@ -128,7 +135,7 @@ class MarginLearner(BoundaryNetworks):
     @property
     def critic(self) -> networks.AlarmCritic:
         """Q_ω(s, ·)."""
-        return networks.AlarmCritic(self.hidden_sizes)
+        return networks.AlarmCritic(self.hidden_sizes, JUDGEMENT in self.parts)
 
     def noise(self, key: chex.PRNGKey) -> chex.Array:
         """The exploration of π_θ in units of `boundary_noise`, []; the key is consumed."""
@@ -174,8 +181,8 @@ class MarginLearner(BoundaryNetworks):
         Raises:
             ValueError: one line, for samples that are not of `Agent.draw_boundary`.
         """
-        more = batch.indicator, batch.next_indicator, batch.counts, batch.alarmed, batch.explores
-        if any(leaf is None for leaf in more):
+        more = batch.indicator, batch.next_indicator, batch.counts, batch.explores
+        if any(leaf is None for leaf in (*more, batch.boundary_reward)):
             raise ValueError("samples without indicators and alarms: draw them by draw_boundary")
         target = self._target(hyper, state, batch)
         grads, critic_metrics = jax.grad(self._critic_loss, has_aux=True)(
@@ -191,18 +198,43 @@ class MarginLearner(BoundaryNetworks):
         state = dataclasses.replace(state, target_critic=followed)
         return state, critic_metrics | critic_norm | actor_metrics | actor_norm
 
-    def _values(
+    def _told(
         self,
         critic: Params,
         observation: chex.Array,
         indicator: chex.Array,
         explores: chex.Array | None,
-    ) -> tuple[chex.Array, chex.Array]:
-        """`alarm_values`, with 0 for what the critic is not to see."""
+    ) -> chex.Array:
+        """What E critics say, [E, N, 2 or 3], with 0 for what they are not to see."""
         assert explores is not None
         size = jnp.abs(indicator) * (SEES_INDICATOR in self.parts)
         noise = explores * (NOISE_TOLD in self.parts)
-        return alarm_values(self.critic.apply, critic, observation, size, noise)
+        apply: Any = self.critic.apply
+        told: chex.Array = jax.vmap(lambda own: apply(own, observation, size, noise))(critic)
+        return told
+
+    def alarm_values(
+        self,
+        hyper: Any,
+        critic: Params,
+        observation: chex.Array,
+        indicator: chex.Array,
+        explores: chex.Array | None,
+    ) -> tuple[chex.Array, chex.Array]:
+        """Q_ω(s, not C) and Q_ω(s, C) of each critic, [E, N] each.
+
+        Args:
+            hyper: the run's hyperparameters, scalars.
+            critic: parameters of E critics, stacked.
+            observation: [N, O].
+            indicator: c, [N].
+            explores: whether there is action noise, [N].
+        """
+        told = self._told(critic, observation, indicator, explores)
+        without, alarmed = told[..., 0], told[..., 1]
+        if JUDGEMENT in self.parts:
+            alarmed = alarm_value(without, alarmed, told[..., 2], hyper.alarm_reward)
+        return without, alarmed
 
     def _likely(self, hyper: Any, indicator: chex.Array, boundary: chex.Array) -> chex.Array:
         """P(C) of boundaries that are kept within the run's bounds, [...]."""
@@ -219,8 +251,8 @@ class MarginLearner(BoundaryNetworks):
         if LINE_8 in self.parts:
             following += moved
         likely = self._likely(hyper, batch.next_indicator, following)
-        without, with_alarm = self._values(
-            state.target_critic, batch.next_observation, batch.next_indicator, batch.explores
+        without, with_alarm = self.alarm_values(
+            hyper, state.target_critic, batch.next_observation, batch.next_indicator, batch.explores
         )
         value = jnp.mean(likely * with_alarm + (1.0 - likely) * without, axis=0)
         value = batch.reward + batch.discount * bootstrap(batch.discount, value)
@@ -229,17 +261,30 @@ class MarginLearner(BoundaryNetworks):
     def _critic_loss(
         self, critic: Params, hyper: Any, batch: BoundaryTransition, target: chex.Array
     ) -> tuple[chex.Array, Metrics]:
-        """Mean squared TD error of the value with or without alarm, as it was (lines 10, 11)."""
-        assert batch.indicator is not None and batch.alarmed is not None
-        without, with_alarm = self._values(
-            critic, batch.observation, batch.indicator, batch.explores
-        )
+        """Mean squared TD error of the value of what was done (lines 10, 11).
+
+        With `JUDGEMENT` and the cross-entropy of the judgements of alarms.
+        """
+        assert batch.indicator is not None and batch.boundary_reward is not None
+        told = self._told(critic, batch.observation, batch.indicator, batch.explores)
+        without, alarm = told[..., 0], told[..., 1]
         # A learned indicator is another one by now; without ρ nothing tells what it was.
         now = jnp.abs(batch.indicator) >= jnp.abs(batch.boundary)
-        alarmed = jnp.where(hyper.alarm_reward > 0.0, batch.alarmed, now)
-        error = jnp.square(jnp.where(alarmed, with_alarm, without) - target)
-        loss = jnp.mean(error * _weights(batch))
-        return loss, {"boundary_critic_loss": loss}
+        alarmed = jnp.where(hyper.alarm_reward > 0.0, batch.boundary_reward != 0.0, now)
+        if JUDGEMENT not in self.parts:
+            error = jnp.square(jnp.where(alarmed, alarm, without) - target)
+            loss = jnp.mean(error * _weights(batch))
+            return loss, {"boundary_critic_loss": loss}
+        # Nor does it tell what the human said: it is held to be yes.
+        confirmed = jnp.where(hyper.alarm_reward > 0.0, batch.boundary_reward > 0.0, now)
+        value = jnp.where(confirmed, alarm, without)
+        loss = jnp.mean(jnp.square(value - (target - batch.boundary_reward)) * _weights(batch))
+        surprise = optax.sigmoid_binary_cross_entropy(told[..., 2], confirmed)
+        judgement = jnp.mean(surprise * alarmed * _weights(batch))
+        return loss + judgement, {
+            "boundary_critic_loss": loss,
+            "boundary_judgement_loss": judgement,
+        }
 
     def _actor_loss(
         self, actor: Params, hyper: Any, critic: Params, batch: BoundaryTransition
@@ -247,7 +292,9 @@ class MarginLearner(BoundaryNetworks):
         """What line 12 descends, by its gradient: −mean [Q_ω(s_i, π_θ(s_i)) + T entropy of C]."""
         assert batch.indicator is not None
         no_noise = jnp.zeros_like(batch.reward)
-        without, with_alarm = self._values(critic, batch.observation, batch.indicator, no_noise)
+        without, with_alarm = self.alarm_values(
+            hyper, critic, batch.observation, batch.indicator, no_noise
+        )
         advantage = jax.lax.stop_gradient(jnp.mean(with_alarm - without, axis=0))
         boundary = self.boundary(hyper, actor, batch.observation)
         likely = self._likely(hyper, batch.indicator, boundary)

@@ -218,17 +218,32 @@ class AlarmCritic(nn.Module):
 
     Attributes:
         hidden_sizes: widths of the hidden layers.
+        foretells: whether it foretells the human's judgement too, with hidden layers of its own.
     """
 
     hidden_sizes: Sequence[int]
+    foretells: bool = False
 
     @nn.compact
     def __call__(
         self, observation: chex.Array, size: chex.Array, explores: chex.Array
     ) -> chex.Array:
-        """Maps observations [..., O], |c| [...] and 1 for noise, else 0, [...], to [..., 2]."""
+        """Values of a state.
+
+        Args:
+            observation: s, [..., O].
+            size: |c|, [...].
+            explores: 1 for action noise, else 0, [...].
+
+        Returns:
+            Two values, [..., 2]; with `foretells` and the logit of P(h = 0) behind them, [..., 3].
+        """
         x = jnp.concatenate([observation, size[..., None], explores[..., None]], axis=-1)
-        return nn.Dense(2, kernel_init=_kernel_init)(_hidden(x, self.hidden_sizes))
+        values = nn.Dense(2, kernel_init=_kernel_init)(_hidden(x, self.hidden_sizes))
+        if not self.foretells:
+            return values
+        logit = nn.Dense(1, kernel_init=_kernel_init)(_hidden(x, self.hidden_sizes))
+        return jnp.concatenate([values, logit], axis=-1)
 
 
 class RiskNetwork(nn.Module):

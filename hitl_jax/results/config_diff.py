@@ -19,7 +19,7 @@ CAME_LATER: dict[str, dict[str, Any]] = {
         "boundary_learner": "printed",
         "margin_parts": [
             *("heavy_tails", "often", "two_critics", "targets"),
-            *("half_alarms", "takeovers", "line_8", "noise_told", "sees_indicator"),
+            *("half_alarms", "takeovers", "line_8", "noise_told", "sees_indicator", "judgement"),
         ],
         "risk_hidden_sizes": [64, 64],
         "risk_batch_size": 64,
@@ -59,10 +59,12 @@ def completed(config: dict[str, Any]) -> dict[str, Any]:
         if isinstance(has, dict):
             whole[section] = _with(has, choices)
     agent = config.get("agent")
-    if isinstance(agent, dict) and agent.get("boundary_learner") == "margin":
-        later = "noise_told", "sees_indicator"
-        parts = [part for part in CAME_LATER["agent"]["margin_parts"] if part not in later]
-        whole["agent"]["margin_parts"] = agent.get("margin_parts", parts)
+    if isinstance(agent, dict):
+        parts = CAME_LATER["agent"]["margin_parts"]
+        if agent.get("boundary_learner") == "margin":
+            later = "noise_told", "sees_indicator", "judgement"
+            parts = agent.get("margin_parts", [part for part in parts if part not in later])
+        whole["agent"]["margin_parts"] = parts  # Of no other learner do they change anything.
     return whole
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from hitl_jax.boundary import alarm, margin
 from hitl_jax.boundary.decisions import sample_decisions
-from hitl_jax.boundary.margin import MarginLearner, alarm_probability, alarm_values
+from hitl_jax.boundary.margin import MarginLearner, alarm_probability
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.errors import InvalidValue
 from hitl_jax.learner import replay
@@ -61,7 +61,7 @@ def _learn(hyper, state, key):
         alarmed, danger = indicator >= boundary, seen[:, 0] > 0.0
         lost = jnp.where(danger, -5.0, 0.0)
         quiet = jnp.where(alarmed, jnp.where(danger, 1.0, -1.0), lost)
-        noisy = jnp.where(alarmed, -4.0, 0.0) + lost
+        noisy = jnp.where(alarmed, jnp.where(danger, -4.0, -1.0), 0.0) + lost
         batch = BoundaryTransition(
             observation=seen,
             boundary=boundary,
@@ -72,7 +72,7 @@ def _learn(hyper, state, key):
             indicator=indicator,
             next_indicator=indicator,
             counts=jnp.ones(64),
-            alarmed=alarmed,
+            boundary_reward=jnp.where(alarmed, jnp.where(danger, 1.0, -1.0), 0.0),
             explores=explores,
         )
         return _LEARNER.improve(hyper, state, batch)
@@ -93,7 +93,7 @@ def test_from_any_initial_boundary_alarms_are_raised_where_they_pay(initial):
     assert raised[danger].mean() > 0.95
     assert raised[~danger].mean() < 0.05
     size = 0.4 + 0.2 * seen[:, 1]
-    values = functools.partial(alarm_values, _LEARNER.critic.apply, state.critic, seen, size)
+    values = functools.partial(_LEARNER.alarm_values, hyper, state.critic, seen, size)
     for explores, expected in ((0.0, 1.0), (1.0, -9.0)):
         without, with_alarm = values(jnp.full(len(seen), explores))
         np.testing.assert_allclose(with_alarm[:, danger].mean(), expected, atol=0.5)
@@ -181,7 +181,7 @@ def test_alarms_are_sought_where_they_decide():
     memory = replay.add(replay.begin_run(replay.init(256, 1, layout), 0), frames)
     draw = functools.partial(sample_decisions, memory, layout, 0, jax.random.key(0), 512)
     batch = draw(jnp.float32(0.9), alarmed=True)
-    decisions = np.asarray(batch.alarmed) & (np.asarray(batch.counts) > 0.0)
+    decisions = (np.asarray(batch.boundary_reward) != 0.0) & (np.asarray(batch.counts) > 0.0)
     first = np.asarray(batch.observation)[decisions, 0]
     assert (first % 40 == 0).all()
     assert decisions.mean() > 0.25  # One in forty frames, of sixteen draws: 0.33.

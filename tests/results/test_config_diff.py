@@ -5,6 +5,7 @@ import pytest
 from example_results import CONFIG, KEY, make_episodes, make_info, make_params, make_tests
 from example_saves import make_saved
 
+from hitl_jax.boundary.margin import MARGIN_PARTS
 from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.playback import episodes
 from hitl_jax.results import config_diff
@@ -45,6 +46,21 @@ def test_only_what_differs_is_told(made, told):
     assert len(found) == len(told)
     for line, begins in zip(found, told, strict=True):
         assert line.startswith(begins)
+
+
+@pytest.mark.parametrize(
+    ("agent", "parts"),
+    [
+        ({"boundary_learner": "printed"}, MARGIN_PARTS),
+        ({"boundary_learner": "printed", "margin_parts": ["often"]}, MARGIN_PARTS),
+        ({}, MARGIN_PARTS),
+        ({"boundary_learner": "margin"}, MARGIN_PARTS[:-3]),
+        ({"boundary_learner": "margin", "margin_parts": ["often"]}, ["often"]),
+    ],
+)
+def test_parts_that_came_later_were_not_in_what_was_kept(agent, parts):
+    found = config_diff.completed({"agent": agent})["agent"]["margin_parts"]
+    assert found == list(parts)
 
 
 def test_versions_of_several_sittings_are_all_kept():
