@@ -228,6 +228,20 @@ def test_a_foreign_file_is_refused(text, tmp_path):
         Store(path)
 
 
+def test_a_file_of_an_earlier_commit_is_read(copied):
+    path = copied / "runs.csv"
+    whole = Store(path)
+    lines = path.read_text().splitlines()
+    assert lines[0].endswith(",wall_seconds,settled_boundary")
+    path.write_text("".join(line.rpartition(",")[0] + "\n" for line in lines))
+    earlier = Store(path)
+    assert earlier.keys() == whole.keys()
+    earlier.write()
+    assert [line.rpartition(",")[0] for line in path.read_text().splitlines()] == [
+        line.rpartition(",")[0] for line in lines
+    ]
+
+
 def test_a_damaged_file_is_refused(copied, capsys):
     path = copied / "runs.csv"
     whole = path.read_text()

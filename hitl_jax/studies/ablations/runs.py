@@ -4,6 +4,8 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from hitl_jax.analysis.summary import summarise_run
 from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.envs import require_backend
@@ -21,6 +23,10 @@ from hitl_jax.training.run_spec import RunSpec
 
 _SLOTS = 32
 _BACKEND = "lean"
+
+_LAST = 20
+"""Training episodes, of which the mean boundary is taken: that of one state says little where the
+boundary is a function of the state."""
 
 
 class Group(NamedTuple):
@@ -130,4 +136,7 @@ def summary_of(tested: Tested) -> Row:
     tests = to_table(to_columns(tested.tests, TEST_COLUMNS), TEST_COLUMNS)
     info = {"wall_seconds": tested.wall_seconds, "diverged": run.diverged}
     row = summarise_run(Run(run.spec.key, info, episodes, tests))
+    boundary = episodes["mean_boundary"][-_LAST:]
+    boundary = boundary[~np.isnan(boundary)]
+    row["settled_boundary"] = boundary.mean().item() if boundary.size else None
     return {name: value for name, value in row.items() if name not in ("method", "seed")}

@@ -77,13 +77,13 @@ _FORESIGHT: Changes = {
     "intervention": "takeover",
     "takeover_steps": 50,
     "feedback_schedule": "onset",
-    "feedback": -30.0,
-    "alarm_reward": 60.0,
+    "feedback": -10.0,
+    "alarm_reward": 15.0,
     "noise_free_every": 2,
     "unattended_every": 4,
     "boundary_low": 0.0,
     "boundary_noise": 0.1,
-    "boundary_temperature": 15.0,
+    "boundary_temperature": 10.0,
 }
 """As `foresight_angle` in results/README.md, but for the number of episodes."""
 

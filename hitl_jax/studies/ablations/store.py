@@ -19,7 +19,10 @@ from hitl_jax.sweep.train_and_test import policy_digest
 Row = dict[str, Any]
 """One run; measures are float, or None where there is no value."""
 
-_MEASURES = tuple(name for name in SUMMARY_COLUMNS if name not in ("method", "seed"))
+_CAME_LATER = ("settled_boundary",)
+"""Measures that files of earlier commits lack."""
+
+_MEASURES = (*(name for name in SUMMARY_COLUMNS if name not in ("method", "seed")), *_CAME_LATER)
 _COLUMNS = ("setting", "method", "seed", "digest", "commit", *_MEASURES)
 
 
@@ -105,7 +108,9 @@ def _read(path: pathlib.Path) -> dict[RunId, Row]:
     if not path.exists():
         return {}
     with named_errors(path):
-        cells = cells_from_csv(read_bytes(path).decode(), _COLUMNS)
+        text = read_bytes(path).decode()
+        came_later = text.partition("\n")[0].split(",")[-len(_CAME_LATER) :] == list(_CAME_LATER)
+        cells = cells_from_csv(text, _COLUMNS if came_later else _COLUMNS[: -len(_CAME_LATER)])
         rows = [
             _parse(dict(zip(cells, row, strict=True))) for row in zip(*cells.values(), strict=True)
         ]
@@ -123,7 +128,8 @@ def _parse(line: dict[str, str]) -> tuple[RunId, Row]:
     if not re.fullmatch(r"[0-9a-z+-]+", line["commit"]):
         raise ValueError(f"commit {line['commit'][:50]!r}: is none")
     measures = {
-        name: finite(name, [line[name]], True).item() if line[name] else None for name in _MEASURES
+        name: finite(name, [line[name]], True).item() if line.get(name) else None
+        for name in _MEASURES
     }
     if measures["diverged"] not in (0.0, 1.0):
         raise ValueError(f"setting {run.setting[:50]!r}: diverged must be 0 or 1")

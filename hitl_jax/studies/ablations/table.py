@@ -37,8 +37,9 @@ _MEASURES = (
     ("train_human_steps", "steps under the human", 0),
     ("alarm_agreement", "alarms confirmed", 2),
     ("final_boundary", "last boundary", 2),
+    ("settled_boundary", "mean boundary of the last 20 episodes", 2),
 )
-"""(measure, heading, decimals)."""
+"""(measure, heading, decimals); one that no run has is left out."""
 
 _GUIDE = """\
 Means over seeds [bootstrap 95 % interval], and the interquartile mean of the autonomous test return
@@ -55,15 +56,14 @@ def to_markdown(title: str, budget: str, lines: list[Line]) -> str:
         budget: what every run had, in a few words.
         lines: in their order.
     """
-    head = ["setting", "method", "seeds", *(name for _, name, _ in _MEASURES)]
+    measures = [one for one in _MEASURES if any(line.values(one[0]).size for line in lines)]
+    head = ["setting", "method", "seeds", *(name for _, name, _ in measures)]
     cells = [head]
     for line in lines:
         lost = sum(run["diverged"] for run in line.runs)
         seeds = f"{len(line.runs)} ({lost:.0f} diverged)" if lost else str(len(line.runs))
         row = [line.label, line.method, seeds]
-        cells.append(
-            [*row, *(_cell(line, measure, decimals) for measure, _, decimals in _MEASURES)]
-        )
+        cells.append([*row, *(_cell(line, measure, decimals) for measure, _, decimals in measures)])
     return f"# {title}\n\n{budget}\n\n{_GUIDE}\n\n{table(cells)}"
 
 
