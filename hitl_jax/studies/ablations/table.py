@@ -24,7 +24,7 @@ class Line(NamedTuple):
 
     def values(self, measure: str) -> np.ndarray:
         """Of the seeds that have one."""
-        return np.array([run[measure] for run in self.runs if run[measure] is not None])
+        return np.array([run[measure] for run in self.runs if run.get(measure) is not None])
 
 
 _MEASURES = (
