@@ -1,7 +1,9 @@
 """The command that takes the team apart: its runs, table, figure, resuming, and bad input."""
 
 import csv
+import dataclasses
 import itertools
+import pathlib
 import shutil
 
 import numpy as np
@@ -9,12 +11,14 @@ import pytest
 from small import TEAM
 
 from hitl_jax.commands import ablation
-from hitl_jax.config import Hyper, Method, hyper_for
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.console.cli import run_main
 from hitl_jax.console.progress import Progress
 from hitl_jax.errors import ResultsError
+from hitl_jax.playback.load_trained import section_of
 from hitl_jax.results import episode_tables
 from hitl_jax.results.atomic_files import locked
+from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.studies.ablations import runs
 from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.settings import ABLATIONS, Ablation, Setting
@@ -269,3 +273,12 @@ def test_bad_input_is_one_line(args, said, tmp_path, capsys):
     assert said in error
     assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["boundary-parts", "boundary-start"])
+def test_the_ablations_of_the_boundary_start_from_what_is_kept(name):
+    kept = ResultsFolder(pathlib.Path(__file__).parents[2] / "results" / "foresight_120")
+    agent, hyper = (section_of(kept, *one) for one in (("agent", AgentConfig), ("hyper", Hyper)))
+    hyper = dataclasses.replace(hyper, human=Hyper().human)  # It has the danger model's numbers.
+    settings = [changed(setting.changes) for setting in ABLATIONS[name].settings]
+    assert (agent, hyper) in [(parts.agent, parts.hyper) for parts in settings]
