@@ -15,6 +15,8 @@ Nothing but r' follows from an alarm that the human does not confirm. So its val
 from what the machine and the human come to, and from the probability that the human confirms it:
 
     Q_ω(s, C) = P(h = 0) (Q_ω(s, u = 1) + ρ) + (1 − P(h = 0)) (Q_ω(s, not C) − ρ).
+
+r' judges an alarm, and is no part of what both come to: their targets hold r alone.
 """
 
 import dataclasses
@@ -251,6 +253,10 @@ class MarginLearner(BoundaryNetworks):
         if LINE_8 in self.parts:
             following += moved
         likely = self._likely(hyper, batch.next_indicator, following)
+        if JUDGEMENT in self.parts:
+            # r' judges the alarm of its own step. If that of the next step counted here, none would
+            # be worth as much as an alarm, just where the next step will raise one.
+            hyper = hyper.replace(alarm_reward=0.0)
         without, with_alarm = self.alarm_values(
             hyper, state.target_critic, batch.next_observation, batch.next_indicator, batch.explores
         )
