@@ -111,6 +111,61 @@ def test_with_a_temperature_the_margin_tells_what_an_alarm_is_worth():
         np.testing.assert_allclose(likely, jax.nn.sigmoid(advantage / 4.0), atol=0.05)
 
 
+def _batch(seen, **given):
+    """Samples that end the episode, where no alarm was raised, but for what is given."""
+    zero = jnp.zeros(len(seen))
+    whole = {"boundary": zero, "reward": zero, "discount": zero, "next_boundary": zero}
+    whole |= {"indicator": zero, "next_indicator": zero, "boundary_reward": zero, "explores": zero}
+    return BoundaryTransition(
+        observation=seen, next_observation=seen, counts=jnp.ones(len(seen)), **(whole | given)
+    )
+
+
+def test_the_reward_of_a_later_alarm_is_not_in_the_targets():
+    """Else none would be worth as much as an alarm wherever the next step raises one."""
+    seen = jax.random.normal(jax.random.key(0), (64, 2))
+    batch = _batch(seen, discount=jnp.full(64, 0.9), next_indicator=jnp.full(64, 1.6))
+    state = _LEARNER.init(jax.random.key(1), jax.random.key(2))
+
+    def target(reward):
+        return _LEARNER._target(_HYPER.replace(alarm_reward=reward), state, batch)
+
+    unjudged = _HYPER.replace(alarm_reward=0.0)
+    _, with_alarm = _LEARNER.alarm_values(
+        unjudged, state.target_critic, seen, batch.next_indicator, jnp.zeros(64)
+    )
+    expected = 0.9 * with_alarm.mean(axis=0)  # Above the greatest boundary an alarm is sure.
+    for reward in (1.0, 50.0):
+        np.testing.assert_allclose(target(reward), expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(("reward", "judged"), [(3.0, 1.0), (3.0, -1.0), (0.0, 0.0)])
+def test_each_value_is_learned_from_what_followed(reward, judged):
+    """A confirmed alarm teaches what the human comes to, any other step what the machine does."""
+    hyper = _HYPER.replace(alarm_reward=reward)
+    seen = jax.random.uniform(jax.random.key(0), (64, 2), minval=-1.0)
+    size = jnp.full(64, 0.8)
+    alarm = {"indicator": size, "boundary": jnp.full(64, 0.5)}
+    told = reward * judged
+    batch = _batch(
+        seen, reward=jnp.full(64, 7.0 + told), boundary_reward=jnp.full(64, told), **alarm
+    )
+    start = _LEARNER.init(jax.random.key(1), jax.random.key(2))
+    step = jax.jit(lambda state: _LEARNER.improve(hyper, state, batch)[0])
+    state = start
+    for _ in range(2000):
+        state = step(state)
+    values = functools.partial(_LEARNER.alarm_values, hyper)
+    without, with_alarm = values(state.critic, seen, size, jnp.zeros(64))
+    before, _ = values(start.critic, seen, size, jnp.zeros(64))
+    np.testing.assert_allclose(with_alarm, 7.0 + told, atol=0.3)
+    if judged < 0.0:
+        np.testing.assert_allclose(without, 7.0, atol=0.3)
+    else:  # Nothing says what the machine would have come to.
+        assert np.abs(without - 7.0).min() > 1.0
+        assert np.abs(before - 7.0).min() > 1.0
+
+
 def _memory(alarms, steps=256):
     """A run of which these steps raised an alarm."""
     layout = Layout(1, 1)
