@@ -60,11 +60,13 @@ def completed(config: dict[str, Any]) -> dict[str, Any]:
             whole[section] = _with(has, choices)
     agent = config.get("agent")
     if isinstance(agent, dict):
-        parts = CAME_LATER["agent"]["margin_parts"]
-        if agent.get("boundary_learner") == "margin":
+        parts, learner = CAME_LATER["agent"]["margin_parts"], agent.get("boundary_learner")
+        if learner == "margin":
             later = "noise_told", "sees_indicator", "judgement"
-            parts = agent.get("margin_parts", [part for part in parts if part not in later])
-        whole["agent"]["margin_parts"] = parts  # Of no other learner do they change anything.
+            parts = [part for part in parts if part not in later]
+        if learner not in (None, "printed"):  # To that they mean nothing.
+            parts = agent.get("margin_parts", parts)
+        whole["agent"]["margin_parts"] = parts
     return whole
 
 

@@ -56,6 +56,7 @@ def test_only_what_differs_is_told(made, told):
         ({}, MARGIN_PARTS),
         ({"boundary_learner": "margin"}, MARGIN_PARTS[:-3]),
         ({"boundary_learner": "margin", "margin_parts": ["often"]}, ["often"]),
+        ({"boundary_learner": "my_team:mine", "margin_parts": ["often"]}, ["often"]),
     ],
 )
 def test_parts_that_came_later_were_not_in_what_was_kept(agent, parts):
