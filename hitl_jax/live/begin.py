@@ -13,7 +13,7 @@ from hitl_jax.live import journal, person
 from hitl_jax.live.options import LiveOptions
 from hitl_jax.live.session import Session
 from hitl_jax.live.setup import SessionSetup
-from hitl_jax.results.config_diff import changes, completed
+from hitl_jax.results.config_diff import changes, compared
 from hitl_jax.results.provenance import origin
 from hitl_jax.team import checkpoint
 from hitl_jax.team.agent import Agent, make_agent, require_extra
@@ -87,11 +87,10 @@ def lines_of(
         ResultsError: naming the first difference.
     """
     before, lines = journal.read(path)
-    before = completed(before)
     if line := differences(path, before):
         say(line)
     told = {name: value for name, value in before.items() if name not in ("journal", "made")}
-    asked, has, nothing = _flat(header), _flat(told), object()
+    asked, has, nothing = _flat(compared(header)), _flat(compared(told)), object()
     for name in asked | has:
         if asked.get(name, nothing) != has.get(name, nothing):
             raise ResultsError(

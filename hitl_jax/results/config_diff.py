@@ -64,9 +64,16 @@ def completed(config: dict[str, Any]) -> dict[str, Any]:
         if learner == "margin":
             later = "noise_told", "sees_indicator", "judgement"
             parts = [part for part in parts if part not in later]
-        if learner not in (None, "printed"):  # To that they mean nothing.
-            parts = agent.get("margin_parts", parts)
-        whole["agent"]["margin_parts"] = parts
+        whole["agent"]["margin_parts"] = agent.get("margin_parts", parts)
+    return whole
+
+
+def compared(config: dict[str, Any]) -> dict[str, Any]:
+    """A config, completed, without the choices that mean nothing in it: what is compared."""
+    whole = completed(config)
+    agent = whole.get("agent")
+    if isinstance(agent, dict) and agent["boundary_learner"] == "printed":
+        whole["agent"] = {name: agent[name] for name in agent if name != "margin_parts"}
     return whole
 
 
@@ -111,7 +118,7 @@ def require_same(path: pathlib.Path, has: dict[str, Any], asked: dict[str, Any])
     Raises:
         ConfigMismatch: naming the first differences.
     """
-    old, new, nothing = flatten(completed(has)), flatten(completed(asked)), object()
+    old, new, nothing = flatten(compared(has)), flatten(compared(asked)), object()
     keys = [k for k in old | new if old.get(k, nothing) != new.get(k, nothing)]
     if not keys:
         return

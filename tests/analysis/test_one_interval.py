@@ -79,7 +79,7 @@ def test_in_the_page_about_the_folders(path):
         for part in path.read_text().split("## Interquartile mean over seeds")[1].split("## Mean")
     )
     parts = re.split(r"^## ", (_RESULTS / "README.md").read_text(), flags=re.MULTILINE)
-    [page] = [part for part in parts if part.startswith(f"{path.parent.name}\n")]
+    [page] = [part for part in parts if path.parent.name in part.splitlines()[0].split()]
     for label, cells in _rows(page).items():
         if label.startswith("autonomous test return, interquartile mean"):
             assert cells == told

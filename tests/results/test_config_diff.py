@@ -52,7 +52,7 @@ def test_only_what_differs_is_told(made, told):
     ("agent", "parts"),
     [
         ({"boundary_learner": "printed"}, MARGIN_PARTS),
-        ({"boundary_learner": "printed", "margin_parts": ["often"]}, MARGIN_PARTS),
+        ({"boundary_learner": "printed", "margin_parts": ["often"]}, ["often"]),
         ({}, MARGIN_PARTS),
         ({"boundary_learner": "margin"}, MARGIN_PARTS[:-3]),
         ({"boundary_learner": "margin", "margin_parts": ["often"]}, ["often"]),
@@ -62,6 +62,17 @@ def test_only_what_differs_is_told(made, told):
 def test_parts_that_came_later_were_not_in_what_was_kept(agent, parts):
     found = config_diff.completed({"agent": agent})["agent"]["margin_parts"]
     assert found == list(parts)
+
+
+@pytest.mark.parametrize(
+    ("learner", "differ"), [("printed", False), ("margin", True), ("my_team:mine", True)]
+)
+def test_parts_are_compared_where_they_mean_something(learner, differ):
+    one, other = (
+        {"agent": {"boundary_learner": learner, "margin_parts": parts}}
+        for parts in (["often"], list(MARGIN_PARTS))
+    )
+    assert (config_diff.compared(one) != config_diff.compared(other)) == differ
 
 
 def test_versions_of_several_sittings_are_all_kept():

@@ -11,7 +11,7 @@ import numpy as np
 from hitl_jax.analysis import markdown
 from hitl_jax.config import AgentConfig, Hyper, Method
 from hitl_jax.results.atomic_files import read_bytes, write_text_atomic
-from hitl_jax.results.config_diff import completed
+from hitl_jax.results.config_diff import compared, completed
 from hitl_jax.results.json_documents import checked, options_of, plain_from_json
 from hitl_jax.results.provenance import git_commit, short_commit
 from hitl_jax.results.schemas import Config, Count, Positive, Text
@@ -35,7 +35,7 @@ def asked_of(parts: Parts, options: TuningOptions) -> dict[str, Any]:
 def is_done(path: pathlib.Path, asked: dict[str, Any]) -> bool:
     """Whether a file holds what is asked for."""
     known = load(path)
-    return known is not None and completed(known["asked"]) == asked
+    return known is not None and compared(known["asked"]) == compared(asked)
 
 
 def write(
