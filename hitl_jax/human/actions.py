@@ -15,6 +15,7 @@ from flax import struct
 from hitl_jax.choices.registry import Registry
 from hitl_jax.human.indicator import WALKER_OBSERVATION
 from hitl_jax.types import Params
+from hitl_jax.xla.row_by_row import row_by_row
 
 State = Any
 """What a source remembers: a pytree of arrays, or of plain numbers at first; see
@@ -52,10 +53,11 @@ def policy(apply: Callable[[Params, chex.Array], chex.Array], params: Params) ->
         apply: maps (params, observation [O]) to an action [A] in [-1, 1].
         params: its parameters.
     """
+    action = row_by_row(functools.partial(apply, params))
 
     def act(state: State, observation: chex.Array, key: chex.PRNGKey) -> tuple[State, chex.Array]:
         del key
-        return state, apply(params, observation)
+        return state, action(observation)
 
     return ActionSource(init=tuple, begin_episode=lambda state: state, act=act)
 

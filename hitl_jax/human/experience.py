@@ -6,6 +6,7 @@ nothing that the learner of a run knows.
 """
 
 import functools
+from collections.abc import Callable
 
 import chex
 import jax
@@ -17,7 +18,7 @@ from hitl_jax.human.indicator import WALKER_OBSERVATION
 from hitl_jax.human.params import HumanParams
 from hitl_jax.human.part import HumanPart, memoryless
 from hitl_jax.learner.networks import RiskNetwork
-from hitl_jax.types import Params
+from hitl_jax.xla.row_by_row import row_by_row
 
 FILE, PREFIX = "experience.npz", "network"
 """Where its parameters are: of a `RiskNetwork`."""
@@ -32,14 +33,13 @@ def expectation(observation: chex.Array) -> chex.Array:
     Args:
         observation: s_t, [24].
     """
-    network, (*hidden, _) = _network()
-    logit: chex.Array = RiskNetwork(tuple(hidden)).apply(network, observation)
-    return jax.nn.sigmoid(logit)
+    return jax.nn.sigmoid(_logit()(observation))
 
 
 @functools.cache
-def _network() -> tuple[Params, list[int]]:
-    return shipped_network.load(FILE, PREFIX)
+def _logit() -> Callable[[chex.Array], chex.Array]:
+    network, (*hidden, _) = shipped_network.load(FILE, PREFIX)
+    return row_by_row(functools.partial(RiskNetwork(tuple(hidden)).apply, network))
 
 
 @DANGER_MODELS.register(

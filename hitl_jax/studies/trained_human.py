@@ -8,6 +8,7 @@ and what it learns is to recover. Of several, the one whose tests with the crew 
 return becomes the hands (`human.trained_walker`).
 """
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -34,6 +35,7 @@ from hitl_jax.team.agent import Agent, make_agent
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec
 from hitl_jax.types import Params
+from hitl_jax.xla.row_by_row import row_by_row
 
 CREW = {"ddpg": (range(1000, 1008), 1.0), "td3-tqc": (range(1008, 1012), 0.5)}
 """Of the crew, by task learner: seeds, many, so that the hands meet many gaits; and for what share
@@ -212,7 +214,7 @@ def relay(expects: Params) -> HumanPart:
     Args:
         expects: of `gain_experience`: what tells a stumble.
     """
-    network = RiskNetwork(EXPERIENCE_SIZES)
+    logit_of = row_by_row(functools.partial(RiskNetwork(EXPERIENCE_SIZES).apply, expects))
 
     def judge(
         state: tuple[chex.Array, chex.Array],
@@ -224,7 +226,7 @@ def relay(expects: Params) -> HumanPart:
         del params, dangerous
         holds, limit = state
         keys = jax.random.split(key, 3)
-        logit: chex.Array = network.apply(expects, observation)
+        logit: chex.Array = logit_of(observation)
         stumbles = jax.nn.sigmoid(logit) >= limit
         gives_back = stumbles | (jax.random.uniform(keys[0]) < _GIVES_BACK)
         begins = (jax.random.uniform(keys[1]) < _BEGINS) & ~stumbles

@@ -1,3 +1,4 @@
+import dataclasses
 import functools
 
 import jax
@@ -28,6 +29,11 @@ _AGENT, _ROUNDED = (
         )
     )
     for precision in MATMUL_PRECISIONS
+)
+_WITH_A_TRAINED_HUMAN = agents.make_agent(
+    dataclasses.replace(
+        _AGENT.config, danger="experienced", human_actions="trained", intervention="takeover"
+    )
 )
 _UPDATES = 4
 
@@ -177,14 +183,14 @@ def test_keys_come_from_method_and_seed():
     assert len(data) == 27
 
 
-def _act(runs):
+def _act(runs, agent):
     """What runs that act side by side decide and remember after each of five ticks."""
-    agent, programs = _AGENT, compiled_batch.make_programs(_AGENT, _UPDATES, 1)
+    programs = compiled_batch.make_programs(agent, _UPDATES, 1)
     keys = [batch_arrays.run_keys(run, 0) for run in runs]
     acting = batch_arrays.empty_acting(agent, len(runs), cpu_device("acting", own_thread=False))
     for slot, (run, (_, key, _)) in enumerate(zip(runs, keys, strict=True)):
         key = jax.device_put(key, acting.state.device)
-        acting = programs.begin_acting(acting, slot, _hyper(run), key)
+        acting = programs.begin_acting(acting, slot, agent.with_extra(_hyper(run)), key)
     rows = np.stack([programs.begin(key)[1] for key, *_ in keys])
     behavior = programs.unpack_behavior([rows], acting.hyper)
     told = {run: [] for run in runs}
@@ -198,9 +204,10 @@ def _act(runs):
     return told
 
 
-def test_who_acts_beside_a_run_does_not_change_a_bit():
+@pytest.mark.parametrize("agent", [_AGENT, _WITH_A_TRAINED_HUMAN], ids=["plain", "trained human"])
+def test_who_acts_beside_a_run_does_not_change_a_bit(agent):
     """Nor how many do, nor its place among them."""
-    many = _act(range(50))
+    many = _act(range(50), agent)
     for runs in ([3], [3, 4, 7], range(16), range(17), range(33), range(49, -1, -1)):
-        for run, told in _act(runs).items():
+        for run, told in _act(runs, agent).items():
             jax.tree.map(np.testing.assert_array_equal, told, many[run])
