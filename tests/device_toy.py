@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import pytest
 from flax import struct
+from paper_team import paper_config, paper_hyper
 
-from hitl_jax.config import AgentConfig, Hyper
 from hitl_jax.envs import Command, StepBatch, jax_pool
 from hitl_jax.training import device_ticks
 from hitl_jax.training.run_spec import LoopConfig
@@ -55,10 +55,10 @@ def toys(broken_from=NEVER):
         yield
 
 
-CONFIG = AgentConfig(learner="td3", hidden_sizes=(16,), batch_size=16)
+CONFIG = paper_config(learner="td3", hidden_sizes=(16,), batch_size=16)
 
 
-HYPER = Hyper(warmup_steps=24, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
+HYPER = paper_hyper(warmup_steps=24, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
 
 
 LOOP = LoopConfig(capacity=256, chunk=8)

@@ -14,10 +14,10 @@ from hitl_jax.console.cli import BadInput, checking_input
 from hitl_jax.console.output import say
 from hitl_jax.envs import require_backend
 from hitl_jax.results.atomic_files import write_text_atomic
-from hitl_jax.studies.changes import changed
 from hitl_jax.studies.tuning.measure import measure
 from hitl_jax.studies.tuning.options import BASE, CONFIGURATIONS, TuningOptions
 from hitl_jax.studies.tuning.table import asked_of, is_done, table, write
+from hitl_jax.sweep.changes import changed
 from hitl_jax.sweep.compile_cache import keep_programs
 
 

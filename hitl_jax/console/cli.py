@@ -96,7 +96,7 @@ def _joined(text: str) -> str:
 
 
 def parse(options: type[T], args: Sequence[str], prog: str = "hitl-jax") -> T:
-    """The options of a command line.
+    """The options of a command line; those that are not given are of the preset, if one is.
 
     tyro explains a bad command line in a framed box; this says the same in one line. The box is
     made once more for that, so wide that nothing in it is cut, and plain whatever the terminal is.
@@ -106,7 +106,9 @@ def parse(options: type[T], args: Sequence[str], prog: str = "hitl-jax") -> T:
     """
     try:
         with contextlib.redirect_stderr(io.StringIO()), checking_input():
-            return tyro.cli(options, args=args, prog=prog)
+            parsed = tyro.cli(options, args=args, prog=prog)
+            instead = getattr(parsed, "instead_of_defaults", lambda: None)()
+            return parsed if instead is None else tyro.cli(options, args=args, default=instead)
     except SystemExit as stop:
         if stop.code in (0, None):
             raise

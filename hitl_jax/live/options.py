@@ -8,12 +8,14 @@ import tyro
 from hitl_jax.choices.checks import one_of, require, require_default
 from hitl_jax.config import AgentConfig, Hyper, Method, validate_hyper
 from hitl_jax.errors import InvalidValue
+from hitl_jax.sweep.changes import changed
 from hitl_jax.sweep.options import (
     require_hands,
     require_no_simulated_judge,
     require_room,
     require_team,
 )
+from hitl_jax.sweep.presets import PAPER
 from hitl_jax.sweep.train_and_test import policy_digest
 from hitl_jax.training.run_spec import LoopConfig
 
@@ -21,6 +23,12 @@ MODES = ("train", "test", "watch")
 _HANDS = ("human_actions", "release")
 _CONTROL = ("takeover_steps", "release_share")
 """What the simulated human does with the controls, and until when."""
+
+_LIVE = changed(
+    {name: PAPER[name] for name in PAPER if name not in ("learner", "danger", *_HANDS, *_CONTROL)}
+    | {"intervention": "takeover"}
+)
+"""A person looks at one boundary, which line 8 moves, and may take the controls."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,8 +43,8 @@ class LiveOptions:
         seed: of the run.
         ask: whether the walker also stops and asks while it trains.
         answer_seconds: how long it waits for an answer [s]; then it goes on as if it were "safe".
-        human_policy: a `params.npz` whose actor is the assistant, and the simulated human's hands
-            (default: gymnasium's scripted walker).
+        human_policy: a `params.npz` whose actor is the assistant (default: gymnasium's scripted
+            walker), and the simulated human's hands (default: as `human_actions` says).
         port: of the page, on this machine; 0 takes any.
         open_page: whether to open the page in a browser.
         journal: where everything is noted. The same command goes on where it was; what was learned
@@ -56,9 +64,9 @@ class LiveOptions:
     port: int = 8765
     open_page: bool = True
     journal: str = "runs/live/session.jsonl"
-    agent: Annotated[AgentConfig, tyro.conf.arg(name="")] = AgentConfig(intervention="takeover")
+    agent: Annotated[AgentConfig, tyro.conf.arg(name="")] = _LIVE.agent
     loop: Annotated[LoopConfig, tyro.conf.arg(name="")] = LoopConfig()
-    hyper: Annotated[Hyper, tyro.conf.arg(name="")] = Hyper()
+    hyper: Annotated[Hyper, tyro.conf.arg(name="")] = _LIVE.hyper
 
     def checked(self) -> "LiveOptions":
         """Checks everything that can be checked before work starts; returns itself.
@@ -82,7 +90,8 @@ class LiveOptions:
         # next, nor one that a label could move afterwards.
         one_of("boundary_source", self.agent.boundary_source, ("rule",))
         one_of("feedback_schedule", self.agent.feedback_schedule, ("step",))
-        require_default(self.hyper, ("unattended_every",), "must be 0: somebody looks on")
+        if every := self.hyper.unattended_every:
+            raise InvalidValue("unattended_every", every, "must be 0: somebody looks on")
         if self.with_person:
             self._require_nothing_simulated()
         else:

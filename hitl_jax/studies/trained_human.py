@@ -8,6 +8,7 @@ and what it learns is to recover. Of several, the one whose tests with the crew 
 return becomes the hands (`human.trained_walker`).
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -19,7 +20,7 @@ import numpy as np
 import optax
 
 from hitl_jax.analysis.early_warnings import steps_to_fall
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import Method, hyper_for
 from hitl_jax.envs import make_pool
 from hitl_jax.evaluation.host import HostExaminer, play_trial
 from hitl_jax.evaluation.trials import Trial
@@ -30,6 +31,8 @@ from hitl_jax.human.part import HumanPart, unmoved
 from hitl_jax.learner import adam
 from hitl_jax.learner.networks import Actor, RiskNetwork
 from hitl_jax.results.episode_measures import ALARM_WINDOW
+from hitl_jax.sweep.changes import changed
+from hitl_jax.sweep.presets import PAPER
 from hitl_jax.sweep.train_and_test import Batch, Tested, Walkers, train_and_test
 from hitl_jax.team.agent import Agent, make_agent
 from hitl_jax.training.rollout import Rollout
@@ -65,7 +68,11 @@ EXPERIENCE_SIZES = (64, 64)
 
 _BATCH, _LEARNING_RATE, _UPDATES = 512, 1e-3, 20_000
 
-_HYPER = Hyper(
+_BASE = changed(PAPER | {"learner": "td3-tqc"})
+"""Not the defaults, which have the human that is to be made."""
+
+_HYPER = dataclasses.replace(
+    _BASE.hyper,
     boundary_low=0.0,
     initial_boundary=0.0,  # An alarm at every step.
     feedback=0.0,
@@ -86,13 +93,13 @@ def train_crew(episodes: int, test_episodes: int, watch: Watch) -> list[Tested]:
     Returns:
         Ended runs, each with a snapshot at every eighth of its training.
     """
-    hyper = hyper_for(Method.SRL, Hyper())
+    hyper = hyper_for(Method.SRL, _BASE.hyper)
     crew: list[Tested] = []
     for learner, (seeds, share) in CREW.items():
         last = int(episodes * share)
         points = tuple(last * part // _SNAPSHOTS for part in range(1, _SNAPSHOTS + 1))
         specs = [RunSpec(Method.SRL, seed, hyper, last, points) for seed in seeds]
-        agent = make_agent(AgentConfig(learner=learner))
+        agent = make_agent(dataclasses.replace(_BASE.agent, learner=learner))
         crew += _trained(f"crew-{learner}", agent, specs, test_episodes, watch)
     return crew
 
@@ -115,7 +122,7 @@ def train_hands(
     policies = [
         kept.behavior.actor for one in crew for kept in one.finished.run.snapshots[_RELAYING]
     ]
-    config = AgentConfig(intervention="takeover")
+    config = dataclasses.replace(_BASE.agent, intervention="takeover")
     agent = make_agent(config, judge=relay(expects), source=crew_actions(policies))
     hyper = hyper_for(Method.HITL_FIX, _HYPER)
     specs = [RunSpec(Method.HITL_FIX, seed, hyper, episodes) for seed in HANDS_SEEDS]
@@ -140,7 +147,7 @@ def gain_experience(crew: Sequence[Tested], episodes: int, say: Callable[[str], 
     Returns:
         Parameters of a `RiskNetwork` of `EXPERIENCE_SIZES`.
     """
-    agent = make_agent(AgentConfig())  # Tests ask it for actors alone, and these are alike.
+    agent = make_agent(_BASE.agent)  # Tests ask it for actors alone, and these are alike.
     seen: list[np.ndarray] = []
     falls: list[np.ndarray] = []
     with make_pool("lean", episodes * _SNAPSHOTS) as pool:

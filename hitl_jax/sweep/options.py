@@ -24,26 +24,13 @@ from hitl_jax.evaluation.trials import MOST_TEST_EPISODES, milestones
 from hitl_jax.learner.frame import Layout
 from hitl_jax.sweep import recorded_human, shards
 from hitl_jax.sweep.autosave import SAVE_SECONDS
+from hitl_jax.sweep.changes import changed
 from hitl_jax.sweep.launchers import LaunchOptions
+from hitl_jax.sweep.presets import PRESETS, Preset
 from hitl_jax.sweep.shards import Shard
 from hitl_jax.training.run_spec import LoopConfig, RunSpec, num_slots
 
 _MOST_WORKERS = 1024
-
-
-@dataclasses.dataclass(frozen=True)
-class Preset:
-    """How large a sweep is; an option of the same name goes before it."""
-
-    seeds: int
-    episodes: int
-    test_episodes: int
-
-
-PRESETS = {
-    "full": Preset(seeds=10, episodes=1000, test_episodes=100),
-    "quick": Preset(seeds=2, episodes=100, test_episodes=20),
-}
 
 
 @described
@@ -52,8 +39,11 @@ class SweepOptions:
     """Train SRL, HITL-FIX and HITL-AC over a batch of seeds, test each walker, draw Figures 4-6.
 
     Attributes:
-        preset: `full` is the paper's comparison (10 seeds, 1000 episodes, 100 test episodes);
-            `quick` is for looking around (2 seeds, 100 episodes, 20 test episodes, a few minutes).
+        preset: `full` is the default comparison (10 seeds, 1000 episodes, 100 test episodes);
+            `quick` is for looking around (2 seeds, 100 episodes, 20 test episodes, a few minutes);
+            `paper` has 10 seeds, 1000 episodes and 100 test episodes, and other options as in the
+            paper's section IV where none is given: `ddpg`, a human who judges the angle at once and
+            resets the walker, and a boundary that line 8 moves.
         methods: which of srl, hitl-fix, hitl-ac to run.
         seeds: number of seeds for each method (default: the preset's).
         first_seed: the first of them; the others follow.
@@ -66,8 +56,8 @@ class SweepOptions:
             of memory.
         human: `simulated`, by the options below, or `recorded:FILE`, a person's judgements in a
             live session (see `hitl-jax recorded`), played back step by step.
-        human_policy: a `params.npz` whose actor gives the human's actions (default: gymnasium's
-            scripted walker).
+        human_policy: a `params.npz` whose actor gives the human's actions (default: as
+            `human_actions` says).
         save_seconds: how often runs under way are saved [s]: what a killed process loses at most.
         out: folder of the results. An interrupted sweep goes on in the same folder.
         shard: of a sweep in parts, which to make: `3/16` is the third of sixteen. Each has a folder
@@ -97,9 +87,24 @@ class SweepOptions:
     loop: Annotated[LoopConfig, tyro.conf.arg(name="")] = LoopConfig()
     hyper: Annotated[Hyper, tyro.conf.arg(name="")] = Hyper()
 
+    @classmethod
+    def of_preset(cls, preset: str) -> "SweepOptions":
+        """The options where nothing is given but the preset: its changes in the defaults' place.
+
+        Args:
+            preset: one of `PRESETS`.
+        """
+        parts = changed(PRESETS[preset].changes)
+        return cls(preset, agent=parts.agent, loop=parts.loop, hyper=parts.hyper)
+
+    def instead_of_defaults(self) -> "SweepOptions | None":
+        """What a command line with this preset has for defaults; None where they are the usual."""
+        known = PRESETS.get(self.preset)
+        return self.of_preset(self.preset) if known and known.changes else None
+
     def scale(self) -> Preset:
         """The preset, with what the options say in place of it."""
-        names = [field.name for field in dataclasses.fields(Preset)]
+        names = ("seeds", "episodes", "test_episodes")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         return dataclasses.replace(PRESETS[self.preset], **given)
 

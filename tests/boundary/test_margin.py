@@ -22,7 +22,10 @@ from hitl_jax.types import BoundaryTransition
 
 _LEARNER = MarginLearner(2, (32,))
 _HYPER = Hyper(
+    alarm_reward=1.0,
+    boundary_low=0.05,
     boundary_noise=0.1,
+    boundary_temperature=0.0,
     boundary_actor_learning_rate=3e-3,
     boundary_critic_learning_rate=3e-3,
     target_step_size=0.05,

@@ -6,10 +6,10 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
+from paper_team import paper_config, paper_hyper
 
 from hitl_jax.analysis.boundary_map import DATA
 from hitl_jax.commands import boundary_map
-from hitl_jax.config import AgentConfig, Hyper
 from hitl_jax.console.cli import run_main
 from hitl_jax.playback.load_trained import agent_of, load_trained
 from hitl_jax.results.episode_tables import EPISODE_COLUMNS, TEST_COLUMNS
@@ -22,9 +22,9 @@ _KEY = RunKey("hitl-ac", 0)
 
 
 def _folder(path, source, carry=0.25):
-    config = AgentConfig(hidden_sizes=(16,), boundary_source=source)
+    config = paper_config(hidden_sizes=(16,), boundary_source=source)
     folder = ResultsFolder(path)
-    hyper = dataclasses.asdict(Hyper(initial_boundary=0.6))
+    hyper = dataclasses.asdict(paper_hyper(initial_boundary=0.6))
     document = {"agent": dataclasses.asdict(config), "hyper": hyper, "episodes": 1}
     folder.create_or_resume(document, "command")
     state = agents.init(agents.make_agent(config), jax.random.key(0))

@@ -6,11 +6,12 @@ import device_toy
 import jax
 import numpy as np
 import pytest
+from paper_team import paper_config, paper_hyper
 
 from hitl_jax.arbiter import INTERVENTIONS
 from hitl_jax.boundary import SOURCES
 from hitl_jax.choices.options import Option
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import Method, hyper_for
 from hitl_jax.envs.jax_pool import JaxPool
 from hitl_jax.evaluation.device import DeviceExaminer, num_walkers
 from hitl_jax.evaluation.examiners import make_examiner
@@ -21,7 +22,7 @@ from hitl_jax.training.run_spec import FinishedRun, Run, RunSpec, Snapshot
 
 pytestmark = pytest.mark.usefixtures("compiled_fully")
 
-_AGENT = agents.make_agent(AgentConfig(learner="td3", hidden_sizes=(16,)))
+_AGENT = agents.make_agent(paper_config(learner="td3", hidden_sizes=(16,)))
 _EPISODES = 20  # of a test: more than a table has, and no multiple of it
 
 
@@ -30,7 +31,9 @@ def _modes(method):
 
 
 def _finished(method, seed):
-    hyper = hyper_for(method, Hyper(initial_boundary=0.3, takeover_steps=3, exploration_noise=0.5))
+    hyper = hyper_for(
+        method, paper_hyper(initial_boundary=0.3, takeover_steps=3, exploration_noise=0.5)
+    )
     states = [agents.init(_AGENT, jax.random.key(10 * seed + n)) for n in range(4)]
     early = [jax.device_get(agents.behavior(state)) for state in states[:-1]]
     snapshots = [Snapshot(n, one, np.float32(0.2 + n / 10)) for n, one in enumerate(early, 1)]

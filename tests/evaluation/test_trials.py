@@ -1,9 +1,10 @@
 import jax
 import numpy as np
 import pytest
+from paper_team import paper_config, paper_hyper
 from toy import ToyPool
 
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import Method, hyper_for
 from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import evaluate_runs
 from hitl_jax.team import agent as agents
@@ -13,10 +14,10 @@ _SEEDS = np.arange(5, dtype=np.uint32)
 
 
 def _evaluate(mode, method=Method.HITL_AC, boundary=0.4, seeds=_SEEDS, config=None, **changes):
-    config = config or AgentConfig(hidden_sizes=(16,))
+    config = config or paper_config(hidden_sizes=(16,))
     agent = agents.make_agent(config)
     params = agents.behavior(agents.init(agent, jax.random.key(0)))
-    hyper = hyper_for(method, Hyper(takeover_steps=3, delta_minus=0.1, **changes))
+    hyper = hyper_for(method, paper_hyper(takeover_steps=3, delta_minus=0.1, **changes))
     evaluator = HostExaminer(agent, ToyPool(len(seeds)))
     policy = jax.tree.map(lambda leaf: leaf[None], params)
     boundary = np.full(1, boundary, np.float32)
@@ -34,7 +35,7 @@ def test_autonomous_records_alarms_and_nobody_acts():
 
 
 def test_assisted_takes_over_whatever_training_did():
-    rows = _evaluate("assisted", config=AgentConfig(hidden_sizes=(16,), intervention="reset"))
+    rows = _evaluate("assisted", config=paper_config(hidden_sizes=(16,), intervention="reset"))
     assert sum(row["interventions"] for row in rows) > 0
     assert sum(row["human_steps"] for row in rows) >= sum(row["interventions"] for row in rows)
     assert all(row["end"] != "human-reset" for row in rows)
@@ -55,9 +56,9 @@ def test_an_episode_does_not_depend_on_its_place():
 
 
 def test_snapshots_share_the_walkers_and_are_tested_as_the_end_is():
-    agent = agents.make_agent(AgentConfig(hidden_sizes=(16,)))
+    agent = agents.make_agent(paper_config(hidden_sizes=(16,)))
     trained = [agents.init(agent, jax.random.key(seed)) for seed in range(3)]
-    spec = RunSpec(Method.HITL_AC, 0, hyper_for(Method.HITL_AC, Hyper()), episodes=9)
+    spec = RunSpec(Method.HITL_AC, 0, hyper_for(Method.HITL_AC, paper_hyper()), episodes=9)
     snapshots = [
         Snapshot(3 * (n + 1), agents.behavior(state), np.float32(0.3 + 0.1 * n))
         for n, state in enumerate(trained)

@@ -11,6 +11,7 @@ import my_sac
 import my_team
 import numpy as np
 import pytest
+from paper_team import paper_config, paper_hyper
 
 from hitl_jax.choices.fields import require_fields, whole
 from hitl_jax.choices.registry import TRUSTED, Registry
@@ -30,7 +31,7 @@ from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec
 
 _SIZES = {"observation_size": 3, "action_size": 1, "hidden_sizes": (8,), "batch_size": 8}
-_CONFIG = AgentConfig(
+_CONFIG = paper_config(
     learner="my_sac:sac",
     boundary_source="my_team:drifting",
     indicator="my_team:tilt",
@@ -41,7 +42,7 @@ _CONFIG = AgentConfig(
     **_SIZES,
 )
 _LOOP = LoopConfig(capacity=400)
-_HYPER = Hyper(
+_HYPER = paper_hyper(
     warmup_steps=40,
     initial_boundary=0.3,
     extra={"drift": 0.002},
@@ -111,7 +112,7 @@ def test_each_has_its_part(by_name):
 
 
 def test_objects_from_python_do_the_same(by_name):
-    plain = AgentConfig(**_SIZES)
+    plain = paper_config(**_SIZES)
     mine = _train(
         make_agent(
             plain,
@@ -195,20 +196,20 @@ def test_the_command_says_so(words, given, said, tmp_path, capsys):
 )
 def test_what_was_made_for_the_walker_refuses_another_environment(changes, said):
     with pytest.raises(InvalidValue, match=re.escape(said)):
-        make_agent(AgentConfig(**changes))
+        make_agent(paper_config(**changes))
 
 
 def test_numbers_of_no_choice_are_refused():
-    hyper = hyper_for(Method.SRL, Hyper(extra={"drift": 0.1}))
+    hyper = hyper_for(Method.SRL, paper_hyper(extra={"drift": 0.1}))
     with pytest.raises(InvalidValue, match=r"^extra drift: no choice has options"):
-        agents.validate(make_agent(AgentConfig()), hyper)
+        agents.validate(make_agent(paper_config()), hyper)
 
 
 def test_an_option_is_traced():
     """Another value compiles nothing anew, and moves the boundary otherwise."""
     agent = make_agent(_CONFIG)
     hypers = [
-        agent.with_extra(hyper_for(Method.HITL_AC, Hyper(extra={"drift": drift})))
+        agent.with_extra(hyper_for(Method.HITL_AC, paper_hyper(extra={"drift": drift})))
         for drift in (0.0, 0.1)
     ]
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *hypers)
@@ -217,7 +218,7 @@ def test_an_option_is_traced():
 
 
 def test_all_fields_say_their_bounds():
-    for instance in (AgentConfig(), Hyper(), RunHyper(), HumanParams(), LoopConfig()):
+    for instance in (paper_config(), paper_hyper(), RunHyper(), HumanParams(), LoopConfig()):
         require_fields(instance)
 
     @dataclasses.dataclass
@@ -252,7 +253,7 @@ def test_a_module_of_the_current_folder_is_found(tmp_path, monkeypatch):
     (tmp_path / "my_indicator.py").write_text("def lean(observation):\n    return observation[0]\n")
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry not in ("", ".")])
     monkeypatch.chdir(tmp_path)
-    config = AgentConfig(indicator="my_indicator:lean")
+    config = paper_config(indicator="my_indicator:lean")
     assert float(make_agent(config).indicator(np.arange(24.0))) == 0.0
     with pytest.raises(InvalidValue, match="no_indicator cannot be imported"):
-        make_agent(AgentConfig(indicator="no_indicator:lean"))
+        make_agent(paper_config(indicator="no_indicator:lean"))

@@ -5,16 +5,17 @@ import dataclasses
 import bad_team
 import jax.numpy as jnp
 import pytest
+from paper_team import paper_config
 
 from hitl_jax import human
 from hitl_jax.boundary import BoundarySource
-from hitl_jax.config import AgentConfig, RunHyper
+from hitl_jax.config import RunHyper
 from hitl_jax.errors import InvalidValue
 from hitl_jax.team import acting
 from hitl_jax.team.agent import make_agent
 from hitl_jax.xla.threefry import make_key
 
-_CONFIG = AgentConfig(learner="ddpg", hidden_sizes=(8,), boundary_hidden_sizes=(4,), batch_size=8)
+_CONFIG = paper_config(learner="ddpg", hidden_sizes=(8,), boundary_hidden_sizes=(4,), batch_size=8)
 _BATTERY = "raised RuntimeError: no battery"
 
 _REFUSED = [

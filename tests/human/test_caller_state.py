@@ -6,10 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from paper_team import paper_config, paper_hyper
 from toy import ToyPool
 
 from hitl_jax import human
-from hitl_jax.config import AgentConfig, Hyper, Method, RunHyper, hyper_for
+from hitl_jax.config import Method, RunHyper, hyper_for
 from hitl_jax.errors import InvalidValue
 from hitl_jax.human import actions, caller_state
 from hitl_jax.team import acting
@@ -19,7 +20,7 @@ from hitl_jax.training.run_spec import LoopConfig, RunSpec
 from hitl_jax.xla.pytree_words import pack, unpack
 from hitl_jax.xla.threefry import make_key
 
-_CONFIG = AgentConfig(learner="td3", hidden_sizes=(8,), batch_size=8)
+_CONFIG = paper_config(learner="td3", hidden_sizes=(8,), batch_size=8)
 
 _NARROW = {
     "int8": [-128, -1, 0, 127],
@@ -167,7 +168,7 @@ def test_a_human_of_plain_numbers_acts(start, step):
 def test_runs_with_such_a_human_are_those_of_one_with_arrays():
     def played(start):
         agent = make_agent(_CONFIG, judge=_counting(start, 1))
-        hyper = hyper_for(Method.HITL_AC, Hyper(warmup_steps=10**6, initial_boundary=0.1))
+        hyper = hyper_for(Method.HITL_AC, paper_hyper(warmup_steps=10**6, initial_boundary=0.1))
         spec = RunSpec(Method.HITL_AC, 0, hyper, 3)
         rollout = Rollout(agent, [spec], ToyPool(2), LoopConfig(capacity=64, chunk=8))
         [run] = [run for done in rollout for run in done]

@@ -4,8 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from paper_team import paper_config, paper_hyper
 
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import AgentConfig, Method, hyper_for
 from hitl_jax.envs import Command, make_pool
 from hitl_jax.errors import InvalidValue
 from hitl_jax.human import HumanParams, experienced, trained_walker
@@ -66,9 +67,9 @@ def test_a_body_that_tips_over_is_dangerous_and_more_so_to_the_careful():
 
 def test_a_team_takes_both_by_name():
     agent = make_agent(
-        AgentConfig(danger="experienced", human_actions="trained", intervention="takeover")
+        paper_config(danger="experienced", human_actions="trained", intervention="takeover")
     )
-    hyper = hyper_for(Method.HITL_FIX, Hyper(initial_boundary=0.05, warmup_steps=0))
+    hyper = hyper_for(Method.HITL_FIX, paper_hyper(initial_boundary=0.05, warmup_steps=0))
     state = acting.init_acting(agent, hyper, jax.random.key(0))
     seen = jnp.zeros(WALKER_OBSERVATION).at[:3].set(jnp.array([0.8, 0.3, 0.5]))
     params = behavior(init(agent, jax.random.key(1)))

@@ -4,20 +4,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from paper_team import paper_config, paper_hyper
 
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import Method, hyper_for
 from hitl_jax.evaluation.trials import frozen, init_test
 from hitl_jax.playback.assistance import _hyper, _rules
 from hitl_jax.team import acting
 from hitl_jax.team.agent import behavior, init, make_agent
 
 _LEARNED = {"boundary_source": "network", "boundary_learner": "margin"}
-_HYPER = hyper_for(Method.HITL_AC, Hyper(initial_boundary=0.5, boundary_low=0.3, boundary_high=0.7))
+_HYPER = hyper_for(
+    Method.HITL_AC, paper_hyper(initial_boundary=0.5, boundary_low=0.3, boundary_high=0.7)
+)
 _NAMES = ["learned boundary", "fixed boundary", "hull angle", "chance"]
 
 
 def _rules_of(method, **choices):
-    agent = make_agent(AgentConfig(human_actions="trained", release="hysteresis", **choices))
+    agent = make_agent(paper_config(human_actions="trained", release="hysteresis", **choices))
     return {rule.name: rule for rule in _rules(agent, method)}
 
 
@@ -49,7 +52,7 @@ def test_which_rules_there_are():
 
 def test_by_all_rules_a_takeover_ends_as_the_human_judges():
     rules = _rules_of(Method.HITL_AC, indicator="fall_risk", **_LEARNED)
-    own = make_agent(AgentConfig()).release
+    own = make_agent(paper_config()).release
     assert all(rule.agent.release is own for rule in rules.values())
 
 

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from paper_team import paper_config, paper_hyper
 
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import Method, hyper_for
 from hitl_jax.learner import replay
 from hitl_jax.learner.frame import FALL
 from hitl_jax.team import agent as agents
@@ -15,7 +16,7 @@ from hitl_jax.team import checkpoint
 from hitl_jax.team.acting import act, init_acting
 from hitl_jax.team.agent import make_agent
 
-_CONFIG = AgentConfig(
+_CONFIG = paper_config(
     hidden_sizes=(8,), boundary_hidden_sizes=(4,), risk_hidden_sizes=(8,), batch_size=8
 )
 _TEAM = make_agent(dataclasses.replace(_CONFIG, indicator="fall_risk"))
@@ -33,7 +34,7 @@ def memory():
 
 def _learned(team, method, memory):
     state = agents.init(team, _KEY)
-    hyper = hyper_for(method, Hyper())
+    hyper = hyper_for(method, paper_hyper())
     return state, agents.learn(team, hyper, state, memory, jnp.int32(0), 2)
 
 
@@ -63,7 +64,7 @@ def test_the_alarm_is_raised_by_the_risk():
     risk = float(_TEAM.risk_learner.risk(behavior.risk, seen))
     assert float(_TEAM.safety_indicator(behavior, seen)) == risk
     for boundary, alarmed in ((0.99 * risk, True), (1.01 * risk, False)):
-        hyper = hyper_for(Method.HITL_FIX, Hyper(initial_boundary=boundary))
+        hyper = hyper_for(Method.HITL_FIX, paper_hyper(initial_boundary=boundary))
         _, decision = act(_TEAM, hyper, behavior, init_acting(_TEAM, hyper, _KEY), seen)
         assert bool(decision.alarmed) is alarmed
 

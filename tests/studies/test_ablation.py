@@ -21,11 +21,11 @@ from hitl_jax.results.atomic_files import locked
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.studies.ablations import runs
 from hitl_jax.studies.ablations.options import AblationOptions
-from hitl_jax.studies.ablations.settings import ABLATIONS, Ablation, Setting
+from hitl_jax.studies.ablations.settings import ABLATIONS, BASE, Ablation, Setting
 from hitl_jax.studies.ablations.store import Store, digest
 from hitl_jax.studies.ablations.table import Line, to_markdown
-from hitl_jax.studies.changes import changed
 from hitl_jax.sweep import autosave, train_and_test
+from hitl_jax.sweep.changes import changed
 from hitl_jax.sweep.signals import Interrupted
 from hitl_jax.training.run_spec import Divergence, FinishedRun, Run, RunSpec
 
@@ -182,7 +182,7 @@ def test_every_setting_can_be_made_and_has_a_label_of_its_own():
         assert len(set(labels)) == len(labels)
         assert not any("|" in label for label in labels)  # They stand in a Markdown table.
         for setting in one.settings:
-            changed(setting.changes)
+            changed(BASE | setting.changes)
             assert len(setting.name) <= episode_tables._LONGEST_CELL
 
 
@@ -209,7 +209,9 @@ def test_digests_tell_options_and_budgets_apart():
 
 def test_the_digest_of_kept_runs_is_the_same():
     """Whoever adds an option adds it to `CAME_LATER`; whoever changes a default changes this."""
-    kept = digest(changed({"initial_boundary": 0.45}), {"episodes": 300, "test_episodes": 20})
+    kept = digest(
+        changed(BASE | {"initial_boundary": 0.45}), {"episodes": 300, "test_episodes": 20}
+    )
     assert kept == "998e7516cd7b"
 
 
@@ -280,5 +282,5 @@ def test_the_ablations_of_the_boundary_start_from_what_is_kept(name):
     kept = ResultsFolder(pathlib.Path(__file__).parents[2] / "results" / "foresight_120")
     agent, hyper = (section_of(kept, *one) for one in (("agent", AgentConfig), ("hyper", Hyper)))
     hyper = dataclasses.replace(hyper, human=Hyper().human)  # It has the danger model's numbers.
-    settings = [changed(setting.changes) for setting in ABLATIONS[name].settings]
+    settings = [changed(BASE | setting.changes) for setting in ABLATIONS[name].settings]
     assert (agent, hyper) in [(parts.agent, parts.hyper) for parts in settings]

@@ -7,8 +7,8 @@ from small import TEAM
 
 from hitl_jax.commands import tuning
 from hitl_jax.console.cli import run_main
-from hitl_jax.studies.changes import changed
 from hitl_jax.studies.tuning.options import CONFIGURATIONS
+from hitl_jax.sweep.changes import changed
 
 
 def _run(*args):

@@ -5,9 +5,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from paper_team import paper_config, paper_hyper
 
 from hitl_jax import human
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import Method, hyper_for
 from hitl_jax.evaluation import trials
 from hitl_jax.human import actions as human_actions
 from hitl_jax.learner import replay
@@ -19,7 +20,7 @@ from hitl_jax.xla.dense_product import MATMUL_PRECISIONS
 
 @functools.cache
 def _probe_agent(learner, n_step=1, layer_norm=False, precision="float32"):
-    config = AgentConfig(
+    config = paper_config(
         learner=learner,
         layer_norm=layer_norm,
         matmul_precision=precision,
@@ -48,7 +49,7 @@ def _idle(actions):
 
 
 def _probe_hyper(**changes):
-    hyper = Hyper(target_step_size=0.05, target_noise=0.0, **changes)
+    hyper = paper_hyper(target_step_size=0.05, target_noise=0.0, **changes)
     return hyper_for(Method.SRL, hyper)
 
 
@@ -159,11 +160,11 @@ def test_bfloat16_changes_what_actor_and_critics_learn_and_not_how_the_actor_act
 @pytest.mark.parametrize("learner", ["ddpg", "td3", "td3-tqc"])
 def test_learn_is_one_update_after_another(learner):
     """With the same draws and noise: targets of several updates at once change nothing."""
-    config = AgentConfig(
+    config = paper_config(
         learner=learner, hidden_sizes=(32, 32), batch_size=64, observation_size=3, action_size=2
     )
     agent = agents.make_agent(config, indicator=_first, judge=_calm(), source=_idle(2))
-    hyper = hyper_for(Method.HITL_AC, Hyper(target_step_size=0.5))
+    hyper = hyper_for(Method.HITL_AC, paper_hyper(target_step_size=0.5))
     frames = np.zeros((1, 256, agent.layout.width), np.float32)
     before_flags = frames[:, :, : agent.layout.terminated]
     before_flags[:] = np.random.default_rng(0).normal(size=before_flags.shape)
@@ -192,7 +193,7 @@ def test_learn_is_one_update_after_another(learner):
     )
     chex.assert_trees_all_equal(*(jax.random.key_data(each) for each in (learned.key, key)))
     for method in (Method.SRL, Method.HITL_FIX):
-        other = hyper_for(method, Hyper(target_step_size=0.5))
+        other = hyper_for(method, paper_hyper(target_step_size=0.5))
         fixed = _learn(agent, other, before, memory, column, updates)
         chex.assert_trees_all_equal(fixed.boundary, before.boundary)
         chex.assert_trees_all_close(fixed.learner, learned.learner, rtol=1e-3, atol=1e-5)
@@ -214,8 +215,10 @@ def _walk(angles):
 
 
 def test_act_follows_algorithm_1_on_a_walk_by_hand():
-    agent = agents.make_agent(AgentConfig(boundary_source="rule", intervention="reset"))
-    hyper = hyper_for(Method.HITL_AC, Hyper(initial_boundary=0.5, delta_minus=0.1, delta_plus=0.2))
+    agent = agents.make_agent(paper_config(boundary_source="rule", intervention="reset"))
+    hyper = hyper_for(
+        Method.HITL_AC, paper_hyper(initial_boundary=0.5, delta_minus=0.1, delta_plus=0.2)
+    )
     # tolerance 0.45. |c| against τ:      .4<.5  .6≥.5,h=0  .42≥.4,h=1  .5<.6  .7≥.6,h=0
     state, decision = _act_many(agent, hyper, _walk([0.4, -0.6, 0.42, 0.5, 0.7]))
     np.testing.assert_allclose(decision.boundary, [0.5, 0.5, 0.4, 0.6, 0.6], rtol=1e-6)
@@ -228,9 +231,9 @@ def test_act_follows_algorithm_1_on_a_walk_by_hand():
 
 
 def test_methods_differ_by_the_boundary_alone():
-    agent = agents.make_agent(AgentConfig())
+    agent = agents.make_agent(paper_config())
     walk = _walk([0.2, 0.8, 0.46, 0.8])
-    decisions = {m: _act_many(agent, hyper_for(m, Hyper()), walk)[1] for m in Method}
+    decisions = {m: _act_many(agent, hyper_for(m, paper_hyper()), walk)[1] for m in Method}
     srl, fix, ac = (decisions[m] for m in (Method.SRL, Method.HITL_FIX, Method.HITL_AC))
     chex.assert_trees_all_equal(srl.action, fix.action, ac.action)
     assert not srl.alarmed.any() and not srl.control.any()
@@ -239,8 +242,8 @@ def test_methods_differ_by_the_boundary_alone():
 
 
 def test_the_boundary_stays_in_its_range():
-    agent = agents.make_agent(AgentConfig())
-    hyper = Hyper(initial_boundary=0.3, boundary_low=0.25, delta_minus=0.1)
+    agent = agents.make_agent(paper_config())
+    hyper = paper_hyper(initial_boundary=0.3, boundary_low=0.25, delta_minus=0.1)
     state, decision = _act_many(agent, hyper_for(Method.HITL_AC, hyper), _walk([0.9] * 5))
     np.testing.assert_allclose(decision.next_boundary, [0.25] * 5, rtol=1e-6)
     np.testing.assert_allclose(state.boundary, 0.25, rtol=1e-6)
@@ -248,8 +251,8 @@ def test_the_boundary_stays_in_its_range():
 
 @pytest.mark.parametrize("source", ["network", "residual"])
 def test_a_learned_source_starts_at_tau_0(source):
-    agent = agents.make_agent(AgentConfig(boundary_source=source))
-    hyper = hyper_for(Method.HITL_AC, Hyper(boundary_noise=0.0, delta_minus=0.1))
+    agent = agents.make_agent(paper_config(boundary_source=source))
+    hyper = hyper_for(Method.HITL_AC, paper_hyper(boundary_noise=0.0, delta_minus=0.1))
     _, decision = _act_many(agent, hyper, _walk([0.2, 0.8, 0.2]))
     after = 0.6 if source == "residual" else 0.7
     np.testing.assert_allclose(decision.boundary, [0.7, 0.7, after], rtol=1e-5)
@@ -257,8 +260,8 @@ def test_a_learned_source_starts_at_tau_0(source):
 
 
 def test_takeover_executes_the_human_action():
-    agent = agents.make_agent(AgentConfig(intervention="takeover"))
-    hyper = hyper_for(Method.HITL_AC, Hyper(takeover_steps=2, warmup_steps=0))
+    agent = agents.make_agent(paper_config(intervention="takeover"))
+    hyper = hyper_for(Method.HITL_AC, paper_hyper(takeover_steps=2, warmup_steps=0))
     walk = _walk([0.2, 0.9, 0.2, 0.2])
     _, decision = _act_many(agent, hyper, walk)
     assert decision.human_action.tolist() == [False, True, True, False]
@@ -271,8 +274,8 @@ def test_takeover_executes_the_human_action():
 
 
 def test_with_hysteresis_a_takeover_ends_well_within_the_boundary():
-    agent = agents.make_agent(AgentConfig(intervention="takeover", release="hysteresis"))
-    hyper = Hyper(takeover_steps=1, release_share=0.5, initial_boundary=0.7)
+    agent = agents.make_agent(paper_config(intervention="takeover", release="hysteresis"))
+    hyper = paper_hyper(takeover_steps=1, release_share=0.5, initial_boundary=0.7)
     walk = _walk([0.9, 0.4, 0.36, 0.34, 0.36])  # Below 0.45 rad the human sees no danger.
     _, decision = _act_many(agent, hyper_for(Method.HITL_FIX, hyper), walk)
     assert decision.control.tolist() == [True, True, True, False, False]
@@ -283,25 +286,27 @@ def test_with_hysteresis_a_takeover_ends_well_within_the_boundary():
 
 @pytest.mark.parametrize("source", ["quantile", "pid"])
 def test_a_source_with_a_target_moves_hitl_acs_boundary_alone(source):
-    agent = agents.make_agent(AgentConfig(boundary_source=source))
+    agent = agents.make_agent(paper_config(boundary_source=source))
     walk = _walk([0.9] * 50)
     for method, moves in ((Method.HITL_AC, True), (Method.HITL_FIX, False)):
-        _, decision = _act_many(agent, hyper_for(method, Hyper(boundary_noise=0.0)), walk)
+        _, decision = _act_many(agent, hyper_for(method, paper_hyper(boundary_noise=0.0)), walk)
         assert (decision.boundary[-1] > 0.71) == moves
         assert decision.boundary[0] == pytest.approx(0.7)
 
 
 def test_an_absent_human_changes_nothing_but_is_recorded():
-    agent = agents.make_agent(AgentConfig(intervention="takeover"))
-    hyper = hyper_for(Method.HITL_FIX, Hyper()).replace(human_present=0.0)
+    agent = agents.make_agent(paper_config(intervention="takeover"))
+    hyper = hyper_for(Method.HITL_FIX, paper_hyper()).replace(human_present=0.0)
     _, decision = _act_many(agent, hyper, _walk([0.9, 0.9]))
     assert decision.alarmed.all() and decision.dangerous.all()
     assert not decision.control.any()
 
 
 def test_exploration_noise_has_its_scale_and_correlation():
-    agent = agents.make_agent(AgentConfig())
-    hyper = Hyper(exploration_noise=0.1, noise_correlation=0.8, noise_free_every=0, warmup_steps=0)
+    agent = agents.make_agent(paper_config())
+    hyper = paper_hyper(
+        exploration_noise=0.1, noise_correlation=0.8, noise_free_every=0, warmup_steps=0
+    )
     params = agents.behavior(agents.init(agent, jax.random.key(1)))
     observations = _walk([0.0] * 20_000)
     _, decision = _act_many(agent, hyper_for(Method.SRL, hyper), observations)
@@ -313,8 +318,8 @@ def test_exploration_noise_has_its_scale_and_correlation():
 
 
 def test_every_so_many_episodes_are_noise_free():
-    agent = agents.make_agent(AgentConfig())
-    hyper = hyper_for(Method.SRL, Hyper(noise_free_every=3, warmup_steps=0))
+    agent = agents.make_agent(paper_config())
+    hyper = hyper_for(Method.SRL, paper_hyper(noise_free_every=3, warmup_steps=0))
     params = agents.behavior(agents.init(agent, jax.random.key(1)))
     observation = _walk([0.0])[0]
     greedy = agent.learner.actor.apply(params.actor, observation)
@@ -328,9 +333,9 @@ def test_every_so_many_episodes_are_noise_free():
 
 
 def test_every_so_many_episodes_are_walked_without_the_human_but_no_tests():
-    agent = agents.make_agent(AgentConfig(intervention="takeover"))
+    agent = agents.make_agent(paper_config(intervention="takeover"))
     params = agents.behavior(agents.init(agent, jax.random.key(1)))
-    hyper = hyper_for(Method.HITL_FIX, Hyper(unattended_every=2))
+    hyper = hyper_for(Method.HITL_FIX, paper_hyper(unattended_every=2))
     for each, expected in (
         (hyper, [True, False, True, False]),
         (trials.frozen(hyper, human_present=True), [True] * 4),

@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import struct, traverse_util
+from paper_team import paper_config
 
-from hitl_jax.config import AgentConfig
 from hitl_jax.learner.networks import Actor
 from hitl_jax.team import agent as agents
 from hitl_jax.team import checkpoint
@@ -13,7 +13,7 @@ from hitl_jax.team.array_names import by_name, from_names
 
 @pytest.fixture
 def saved(tmp_path):
-    agent = agents.make_agent(AgentConfig(hidden_sizes=(16, 8)))
+    agent = agents.make_agent(paper_config(hidden_sizes=(16, 8)))
     train = agents.init(agent, jax.random.key(0))
     path = tmp_path / "params.npz"
     np.savez(path, **checkpoint.flatten(train, np.float32(0.4)))
@@ -22,7 +22,7 @@ def saved(tmp_path):
 
 def test_round_trip(saved):
     path, train = saved
-    agent = agents.make_agent(AgentConfig(hidden_sizes=(16, 8)))
+    agent = agents.make_agent(paper_config(hidden_sizes=(16, 8)))
     networks = checkpoint.networks_of(agent, checkpoint.load(path))
     jax.tree.map(np.testing.assert_array_equal, networks["actor"], train.learner.actor)
     jax.tree.map(np.testing.assert_array_equal, networks["boundary_critic"], train.boundary.critic)
@@ -71,7 +71,7 @@ def test_two_arrays_of_one_name_are_refused():
 
 
 def test_a_learner_in_plain_jax_comes_back():
-    agent = agents.make_agent(AgentConfig(learner="my_plain:plain", boundary_hidden_sizes=(4,)))
+    agent = agents.make_agent(paper_config(learner="my_plain:plain", boundary_hidden_sizes=(4,)))
     train = agents.init(agent, jax.random.key(0))
     back = checkpoint.networks_of(agent, checkpoint.flatten(train, np.float32(0.4)))
     jax.tree.map(np.testing.assert_array_equal, back["actor"], train.learner.actor)

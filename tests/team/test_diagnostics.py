@@ -4,9 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from paper_team import paper_config, paper_hyper
 from toy import ToyPool
 
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, typed
+from hitl_jax.config import Method, hyper_for, typed
 from hitl_jax.learner import replay
 from hitl_jax.learner.losses import critic_loss, target_q
 from hitl_jax.team import agent as agents
@@ -17,7 +18,7 @@ from hitl_jax.training.run_spec import LoopConfig, RunSpec
 
 pytestmark = pytest.mark.usefixtures("compiled_fully")
 
-_CONFIG = AgentConfig(
+_CONFIG = paper_config(
     learner="ddpg",
     hidden_sizes=(8,),
     batch_size=8,
@@ -41,7 +42,7 @@ def _memory():
 
 @pytest.mark.parametrize("method", list(Method))
 def test_metrics_are_those_of_the_sample(method):
-    hyper = typed(_AGENT.with_extra(hyper_for(method, Hyper())))
+    hyper = typed(_AGENT.with_extra(hyper_for(method, paper_hyper())))
     state = agents.init(_AGENT, jax.random.key(0))
     memory, frame = _memory()
     metrics = jax.jit(diagnostics.diagnose, static_argnums=0)(
@@ -81,18 +82,18 @@ def _batch():
 
 def _play(monkeypatch, every):
     monkeypatch.setattr(rollout, "EVERY", every)
-    hyper = hyper_for(Method.HITL_AC, Hyper(warmup_steps=16))
+    hyper = hyper_for(Method.HITL_AC, paper_hyper(warmup_steps=16))
     specs = [RunSpec(Method.HITL_AC, seed, hyper, episodes=12) for seed in range(2)]
     agent = agents.make_agent(
-        AgentConfig(learner="td3", hidden_sizes=(8,), batch_size=8, boundary_hidden_sizes=(8,))
+        paper_config(learner="td3", hidden_sizes=(8,), batch_size=8, boundary_hidden_sizes=(8,))
     )
     loop = LoopConfig(capacity=256, chunk=8)
     return [one for done in Rollout(agent, specs, ToyPool(2), loop) for one in done]
 
 
 def test_a_run_can_be_asked_at_any_time():
-    hyper = hyper_for(Method.SRL, Hyper(warmup_steps=16))
-    agent = agents.make_agent(AgentConfig(learner="td3", hidden_sizes=(8,), batch_size=8))
+    hyper = hyper_for(Method.SRL, paper_hyper(warmup_steps=16))
+    agent = agents.make_agent(paper_config(learner="td3", hidden_sizes=(8,), batch_size=8))
     specs = [RunSpec(Method.SRL, seed, hyper, episodes=50) for seed in range(2)]
     playing = Rollout(agent, specs, ToyPool(2), LoopConfig(capacity=256, chunk=8))
     chunks = iter(playing)

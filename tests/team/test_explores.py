@@ -3,16 +3,17 @@
 import jax
 import jax.numpy as jnp
 import pytest
+from paper_team import paper_config, paper_hyper
 
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import Method, hyper_for
 from hitl_jax.team import acting, packed_decision
 from hitl_jax.team import agent as agents
 
 
 def _told(**hyper):
     """`Frame.explores` of the first step of five episodes, as the replay gets it."""
-    agent = agents.make_agent(AgentConfig())
-    run = hyper_for(Method.SRL, Hyper(**hyper))
+    agent = agents.make_agent(paper_config())
+    run = hyper_for(Method.SRL, paper_hyper(**hyper))
     params = agents.behavior(agents.init(agent, jax.random.key(1)))
     state = acting.init_acting(agent, run, jax.random.key(0))
     step = jax.jit(

@@ -5,8 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from paper_team import paper_config, paper_hyper
 
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import Method, hyper_for
 from hitl_jax.learner import replay
 from hitl_jax.team import agent as agents
 from hitl_jax.training import batch_arrays, compiled_batch, learn_batch
@@ -20,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("compiled_fully")
 
 _AGENT, _ROUNDED = (
     agents.make_agent(
-        AgentConfig(
+        paper_config(
             learner="td3",
             hidden_sizes=(16, 16),
             batch_size=16,
@@ -41,7 +42,7 @@ _UPDATES = 4
 def _hyper(index):
     """Runs of different methods and hyperparameters, as one program takes them."""
     method = list(Method)[index % 3]
-    hyper = Hyper(actor_learning_rate=1e-3 / (1 + index), gamma=0.9 + 0.01 * index)
+    hyper = paper_hyper(actor_learning_rate=1e-3 / (1 + index), gamma=0.9 + 0.01 * index)
     return jax.tree.map(np.asarray, hyper_for(method, hyper))
 
 
@@ -156,7 +157,7 @@ def test_seats_are_updated_in_place(tile):
 
 def test_a_run_is_given_back_without_a_copy_of_all():
     """Of a network whose leaves are written apart: XLA copies where it cannot tell the order."""
-    agent = agents.make_agent(AgentConfig(learner="td3", layer_norm=False, batch_size=8))
+    agent = agents.make_agent(paper_config(learner="td3", layer_norm=False, batch_size=8))
     seats = jax.eval_shape(lambda: batch_arrays.empty_learner(agent, 6, 64, jax.devices()[0]))
     learn = functools.partial(learn_batch.learn_all, agent, _UPDATES, 1)
     frames = jax.ShapeDtypeStruct((6, 32, agent.layout.width), jnp.float32)

@@ -9,9 +9,10 @@ import itertools
 import jax
 import numpy as np
 import pytest
+from paper_team import paper_config, paper_hyper
 from toy import ToyPool
 
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import Method, hyper_for
 from hitl_jax.envs import Command
 from hitl_jax.human.judgement import HumanParams
 from hitl_jax.results.episode_tables import EPISODE_COLUMNS, to_columns
@@ -24,8 +25,8 @@ from hitl_jax.training.saved_run_store import Saves
 
 pytestmark = pytest.mark.usefixtures("compiled_fully")
 
-_CONFIG = AgentConfig(learner="td3", hidden_sizes=(16, 16), batch_size=16, n_step=2)
-_HYPER = Hyper(warmup_steps=64, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
+_CONFIG = paper_config(learner="td3", hidden_sizes=(16, 16), batch_size=16, n_step=2)
+_HYPER = paper_hyper(warmup_steps=64, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
 _LOOP = LoopConfig(capacity=128, chunk=8)
 _SPECS = [
     RunSpec(method, seed, hyper_for(method, _HYPER), episodes=8, snapshots=(3, 6))

@@ -4,10 +4,11 @@ import re
 import jax
 import numpy as np
 import pytest
+from paper_team import paper_config, paper_hyper
 from toy import ToyPool
 
 from hitl_jax.benchmarks.timing import memory_mb
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import Method, hyper_for
 from hitl_jax.envs import Command
 from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import evaluate_runs
@@ -18,8 +19,8 @@ from hitl_jax.xla.devices import learning_devices
 
 pytestmark = pytest.mark.usefixtures("compiled_fully")
 
-_CONFIG = AgentConfig(learner="td3", hidden_sizes=(16, 16), batch_size=16, n_step=2)
-_HYPER = Hyper(warmup_steps=64, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
+_CONFIG = paper_config(learner="td3", hidden_sizes=(16, 16), batch_size=16, n_step=2)
+_HYPER = paper_hyper(warmup_steps=64, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
 _LOOP = LoopConfig(capacity=128, chunk=8)  # so small that a run fills it several times
 
 

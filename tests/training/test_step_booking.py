@@ -1,8 +1,9 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from paper_team import paper_config, paper_hyper
 
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import Method, hyper_for
 from hitl_jax.envs import StepBatch
 from hitl_jax.learner.frame import CUT_OFF, FALL, FINISHED, GOES_ON, Layout
 from hitl_jax.results.episode_measures import UNKNOWN_ENDS, WALKER_ENDS
@@ -19,7 +20,7 @@ from hitl_jax.training.step_booking import (
 
 _LAYOUT = Layout(3, 2)
 _LOGGED = _LAYOUT.without_observation
-_HYPER = hyper_for(Method.HITL_AC, Hyper(feedback=-10.0))
+_HYPER = hyper_for(Method.HITL_AC, paper_hyper(feedback=-10.0))
 
 
 def _steps(count, layout=_LAYOUT, **flags):
@@ -54,7 +55,7 @@ def test_what_the_plant_answers_stands_in_the_step():
 
 @pytest.mark.parametrize("ends", [False, True])
 def test_a_reset_by_the_human_ends_the_episode_and_perhaps_the_bootstrap(ends):
-    config = AgentConfig(human_reset_terminates=ends)
+    config = paper_config(human_reset_terminates=ends)
     rewards, told, _ = _frames(config, control=[1], human_reset=[1], final=[2])
     assert rewards == [1.0, -9.0, 0.0, 1.0]
     reset, never = [0.0, 1.0, 0.0, 0.0], [0.0] * 4
@@ -62,7 +63,7 @@ def test_a_reset_by_the_human_ends_the_episode_and_perhaps_the_bootstrap(ends):
 
 
 def test_feedback_after_each_episode_comes_once_with_its_end():
-    config = AgentConfig(feedback_schedule="episode")
+    config = paper_config(feedback_schedule="episode")
     rewards, _, after = _frames(config, control=[1, 3], truncated=[2])
     assert rewards == [1.0, 1.0, -9.0, 1.0]
     assert after
@@ -75,7 +76,7 @@ def test_feedback_after_each_episode_comes_once_with_its_end():
 
 
 def test_where_no_step_was_taken_nothing_is_learned():
-    rewards, ends, after = _frames(AgentConfig(), final=[0, 1, 2, 3], control=[0], human_reset=[1])
+    rewards, ends, after = _frames(paper_config(), final=[0, 1, 2, 3], control=[0], human_reset=[1])
     assert rewards == [0.0] * 4
     assert ends == ([0.0] * 4, [0.0] * 4)
     assert not after
@@ -101,7 +102,7 @@ def test_what_became_of_the_machines_walk_is_stored(event, flags):
     steps = _steps(1, **{name: [0] for name in flags if name != "fell"})
     if "fell" in flags:
         steps[0, _LAYOUT.reward] = -100.0
-    given = AgentConfig(), np.zeros(1), np.zeros(1, bool)
+    given = paper_config(), np.zeros(1), np.zeros(1, bool)
     frames, _ = frames_of(steps[None], _LAYOUT, *given, WALKER_ENDS)
     assert frames[0, 0, _LAYOUT.event] == event
     frames, _ = frames_of(steps[None], _LAYOUT, *given, UNKNOWN_ENDS)
@@ -112,7 +113,7 @@ def test_what_became_of_the_machines_walk_is_stored(event, flags):
     ("schedule", "total"), [("step", -17.0), ("onset", -7.0), ("episode", -7.0)]
 )
 def test_an_episode_tells_both_rewards(schedule, total):
-    config = AgentConfig(feedback_schedule=schedule)
+    config = paper_config(feedback_schedule=schedule)
     steps = _steps(3, _LOGGED, control=[0, 1], began=[0], terminated=[2])
     episode = episode_of(steps, _LOGGED, config, _HYPER)
     assert (episode.reward.sum(), episode.shaped.sum()) == (3.0, total)
@@ -120,9 +121,9 @@ def test_an_episode_tells_both_rewards(schedule, total):
 
 
 def test_where_nobody_arbitrates_there_is_no_boundary():
-    hyper = hyper_for(Method.SRL, Hyper())
+    hyper = hyper_for(Method.SRL, paper_hyper())
     steps = _steps(2, _LOGGED, alarmed=[1])
-    assert np.isnan(episode_of(steps, _LOGGED, AgentConfig(), hyper).boundary).all()
+    assert np.isnan(episode_of(steps, _LOGGED, paper_config(), hyper).boundary).all()
     for each, known in ((hyper, False), (_HYPER, True)):
         kept = Recording(1, recorded_steps(steps, _LOGGED, each))
         assert np.isfinite(kept.column("boundary")).all() == known

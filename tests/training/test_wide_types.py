@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import small
 from pages import python_in, run, section
+from paper_team import paper_config, paper_hyper
 from toy import ToyPool
 
 from hitl_jax import human, walker
-from hitl_jax.config import AgentConfig, Hyper, Method, RunHyper, hyper_for, typed
+from hitl_jax.config import Method, RunHyper, hyper_for, typed
 from hitl_jax.envs import jax_pool
 from hitl_jax.evaluation import host, trials
 from hitl_jax.learner import frame, losses, replay
@@ -27,8 +28,8 @@ from hitl_jax.walker import terrain
 from hitl_jax.xla.threefry import make_key
 
 _TEAMS = (
-    AgentConfig(boundary_source="residual", matmul_precision="bfloat16"),
-    AgentConfig(
+    paper_config(boundary_source="residual", matmul_precision="bfloat16"),
+    paper_config(
         learner="td3",
         boundary_source="network",
         intervention="takeover",
@@ -36,7 +37,7 @@ _TEAMS = (
         danger="predictive",
         indicator="weighted",
     ),
-    AgentConfig(learner="ddpg", boundary_source="pid", intervention="penalty"),
+    paper_config(learner="ddpg", boundary_source="pid", intervention="penalty"),
 )
 
 
@@ -114,7 +115,7 @@ def test_no_program_of_a_team_has_wide_numbers(config, hyper, wide):
 
 
 def test_no_program_with_a_walker_has_wide_numbers(wide):
-    agent = agents.make_agent(AgentConfig())
+    agent = agents.make_agent(paper_config())
     for hardcore in (False, True):
         reset = functools.partial(walker.reset, hardcore=hardcore)
         assert _wide_floats(reset, make_key(0)) == []
@@ -138,7 +139,7 @@ def test_no_program_with_a_walker_has_wide_numbers(wide):
 
 def _played():
     specs = [
-        RunSpec(m, 3, hyper_for(m, Hyper(warmup_steps=32, initial_boundary=0.5)), 10, (2,))
+        RunSpec(m, 3, hyper_for(m, paper_hyper(warmup_steps=32, initial_boundary=0.5)), 10, (2,))
         for m in (Method.SRL, Method.HITL_AC)
     ]
     agent = agents.make_agent(small.AGENT)
@@ -160,7 +161,7 @@ def test_runs_and_their_tests_are_the_same():
 
 @pytest.mark.parametrize("learner", ["ddpg", "td3", "td3-tqc"])
 def test_an_update_of_a_callers_own_arrays_is_the_same(learner):
-    agent = agents.make_agent(AgentConfig(learner=learner, hidden_sizes=(32, 32)))
+    agent = agents.make_agent(paper_config(learner=learner, hidden_sizes=(32, 32)))
     rng = np.random.default_rng(0)
     shapes = ((8, 24), (8, 4), (8,), (8,), (8, 24), (8, 4))
     numbers = [rng.normal(size=shape).astype(np.float32).tolist() for shape in shapes]
@@ -169,7 +170,7 @@ def test_an_update_of_a_callers_own_arrays_is_the_same(learner):
         *columns, noise = map(jnp.array, numbers)
         state = agents.init(agent, make_key(1))
         # A caller's numbers are Python's; a power is taken of two of them, and a root.
-        hyper = hyper_for(Method.HITL_AC, Hyper(target_step_size=0.003, gamma=0.97))
+        hyper = hyper_for(Method.HITL_AC, paper_hyper(target_step_size=0.003, gamma=0.97))
         return agents.update(agent, hyper, state, Transition(*columns), noise)
 
     _same(updated(), _with("jax_enable_x64", True, updated))
@@ -205,7 +206,7 @@ def test_small_functions_keep_their_types(wide):
     memory = replay.add(replay.init(8, 1, layout), jnp.ones((1, 8, layout.width)))
     drawn = replay.draw(memory, layout, 0, make_key(0), 4, 2, 0.9)
     assert {leaf.dtype.itemsize for leaf in jax.tree.leaves((memory, drawn))} == {4}
-    state = acting.init_acting(agents.make_agent(AgentConfig()), RunHyper(), make_key(0))
+    state = acting.init_acting(agents.make_agent(paper_config()), RunHyper(), make_key(0))
     assert not [leaf.dtype for leaf in jax.tree.leaves(state) if "64" in str(leaf.dtype)]
     assert trials.terrain_seeds(_spec(), range(3)).dtype == np.uint32
 
@@ -219,7 +220,7 @@ def test_small_functions_keep_their_types(wide):
     ],
 )
 def test_keys_and_first_parameters_are_the_same(name, value):
-    agent = agents.make_agent(AgentConfig(hidden_sizes=(8,)))
+    agent = agents.make_agent(paper_config(hidden_sizes=(8,)))
 
     def begun():
         keys = batch_arrays.run_keys(2**32 - 1, 1)
@@ -237,4 +238,4 @@ def test_the_programs_of_the_pages_run(heading, wide, tmp_path):
 
 
 def _spec():
-    return RunSpec(Method.SRL, 0, hyper_for(Method.SRL, Hyper()), 1)
+    return RunSpec(Method.SRL, 0, hyper_for(Method.SRL, paper_hyper()), 1)

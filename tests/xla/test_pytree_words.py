@@ -4,8 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from paper_team import paper_config
 
-from hitl_jax.config import AgentConfig, RunHyper, typed
+from hitl_jax.config import RunHyper, typed
 from hitl_jax.team import agent as agents
 from hitl_jax.team.acting import init_acting
 from hitl_jax.team.agent import make_agent
@@ -71,7 +72,7 @@ def test_small_leaves_come_before_large_ones():
 
 
 def test_the_host_unpacks_the_same():
-    config = AgentConfig(indicator="fall_risk", boundary_source="pid")
+    config = paper_config(indicator="fall_risk", boundary_source="pid")
     train = agents.init(make_agent(config), make_key(0))
     acting = init_acting(make_agent(config), typed(RunHyper()), make_key(3))
     for tree in (
@@ -99,7 +100,7 @@ def test_acting_and_hyperparameters_of_every_choice_can_be_packed():
     hyper = typed(RunHyper())
     takeover = {"boundary_source": "network", "intervention": "takeover"}
     for choices in ({}, takeover, {"boundary_source": "pid"}):
-        state = init_acting(make_agent(AgentConfig(**choices)), hyper, make_key(3))
+        state = init_acting(make_agent(paper_config(**choices)), hyper, make_key(3))
         for tree in (state, hyper):
             tree = jax.tree.map(jnp.asarray, tree)
             back = unpack(tree, pack(tree))
@@ -107,7 +108,7 @@ def test_acting_and_hyperparameters_of_every_choice_can_be_packed():
 
 
 def test_the_boundary_of_every_run_is_read_back():
-    agent = make_agent(AgentConfig())
+    agent = make_agent(paper_config())
     programs = compiled_batch.make_programs(agent, 2, 1)
     acting = batch_arrays.empty_acting(agent, 3, jax.devices()[0])
     hyper = typed(RunHyper(initial_boundary=0.25))

@@ -13,10 +13,10 @@ from hitl_jax.results.episode_tables import EPISODE_COLUMNS, TEST_COLUMNS, to_co
 from hitl_jax.results.folder import Run
 from hitl_jax.results.provenance import short_commit
 from hitl_jax.studies.ablations.options import AblationOptions
-from hitl_jax.studies.ablations.settings import ABLATIONS, Ablation, Setting
+from hitl_jax.studies.ablations.settings import ABLATIONS, BASE, Ablation, Setting
 from hitl_jax.studies.ablations.store import Row, RunId, Store, digest
-from hitl_jax.studies.changes import Parts, changed
 from hitl_jax.sweep.autosave import SAVE_SECONDS
+from hitl_jax.sweep.changes import Parts, changed
 from hitl_jax.sweep.run_sweep import Display
 from hitl_jax.sweep.train_and_test import Batch, Tested, Walkers, make_team
 from hitl_jax.training.run_spec import RunSpec
@@ -119,7 +119,7 @@ def batch_of(group: Group, options: AblationOptions) -> Batch:
 def settings_of(ablation: Ablation) -> Iterator[tuple[Setting, Parts]]:
     """Its settings, each with the options that it stands for."""
     for setting in ablation.settings:
-        yield setting, changed(setting.changes)
+        yield setting, changed(BASE | setting.changes)
 
 
 def runs_of(setting: Setting, parts: Parts, options: AblationOptions) -> list[RunId]:

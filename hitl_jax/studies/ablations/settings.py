@@ -4,7 +4,11 @@ import dataclasses
 
 from hitl_jax.boundary.margin import MARGIN_PARTS
 from hitl_jax.config import Method
-from hitl_jax.studies.changes import Changes
+from hitl_jax.sweep.changes import Changes
+from hitl_jax.sweep.presets import PAPER
+
+BASE: Changes = PAPER | {"learner": "td3-tqc"}
+"""What settings change: the preset `paper` with the learner that trains fastest."""
 
 _AC = (Method.HITL_AC,)
 _HUMAN = (Method.HITL_FIX, Method.HITL_AC)
@@ -16,7 +20,7 @@ class Setting:
 
     Attributes:
         label: its name in table and figure.
-        changes: of the defaults.
+        changes: of `BASE`.
         methods: which methods are run with it.
     """
 

@@ -13,7 +13,7 @@ from hitl_jax.results.atomic_files import named_errors, read_bytes, write_text_a
 from hitl_jax.results.config_diff import CAME_LATER, without_later
 from hitl_jax.results.episode_tables import cells_from_csv, finite, rows_to_csv
 from hitl_jax.results.run_key import RunKey
-from hitl_jax.studies.changes import Parts
+from hitl_jax.sweep.changes import Parts
 from hitl_jax.sweep.train_and_test import policy_digest
 
 Row = dict[str, Any]

@@ -11,8 +11,8 @@ from hitl_jax.envs import make_pool
 from hitl_jax.evaluation.host import HostExaminer
 from hitl_jax.evaluation.trials import evaluate_runs
 from hitl_jax.results.episode_measures import FALL_REWARD
-from hitl_jax.studies.changes import Parts
 from hitl_jax.studies.tuning.options import STAGES, TuningOptions
+from hitl_jax.sweep.changes import Parts
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import FinishedRun, Run, RunSpec, num_slots

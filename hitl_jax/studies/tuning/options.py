@@ -8,10 +8,11 @@ import tyro
 from hitl_jax.choices.checks import require_seeds, require_whole
 from hitl_jax.errors import InvalidValue
 from hitl_jax.evaluation.trials import MOST_TEST_EPISODES
-from hitl_jax.studies.changes import Changes
+from hitl_jax.sweep.changes import Changes
+from hitl_jax.sweep.presets import PAPER
 from hitl_jax.training.run_spec import LoopConfig
 
-BASE: Changes = {
+BASE: Changes = PAPER | {
     "learner": "td3",
     "hidden_sizes": (128, 128),
     "layer_norm": False,

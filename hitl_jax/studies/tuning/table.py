@@ -15,8 +15,8 @@ from hitl_jax.results.config_diff import compared, completed
 from hitl_jax.results.json_documents import checked, options_of, plain_from_json
 from hitl_jax.results.provenance import git_commit, short_commit
 from hitl_jax.results.schemas import Config, Count, Positive, Text
-from hitl_jax.studies.changes import Parts
 from hitl_jax.studies.tuning.options import TuningOptions
+from hitl_jax.sweep.changes import Parts
 from hitl_jax.training.run_spec import LoopConfig
 
 

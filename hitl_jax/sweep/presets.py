@@ -1,0 +1,50 @@
+"""Sweeps by name: how large one is, and what it changes of the defaults."""
+
+import dataclasses
+
+from hitl_jax.sweep.changes import Changes
+
+PAPER: Changes = {
+    "learner": "ddpg",
+    "noise_free_every": 4,
+    "unattended_every": 0,
+    "boundary_source": "rule",
+    "boundary_learner": "printed",
+    "boundary_hidden_sizes": (32, 32),
+    "boundary_low": 0.05,
+    "boundary_noise": 0.02,
+    "boundary_temperature": 0.0,
+    "alarm_reward": 1.0,
+    "danger": "threshold",
+    "intervention": "reset",
+    "human_actions": "scripted",
+    "takeover_steps": 10,
+    "feedback": -20.0,
+    "feedback_schedule": "step",
+}
+"""Section IV of the paper, as literally as it can be read: its kind of learner, and a human who
+judges at once by the angle that c_t is, and ends the episode."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Preset:
+    """What a sweep is where no option says otherwise.
+
+    Attributes:
+        seeds: number of seeds for each method.
+        episodes: training episodes of a run.
+        test_episodes: test episodes of a run.
+        changes: of the other options' defaults.
+    """
+
+    seeds: int
+    episodes: int
+    test_episodes: int
+    changes: Changes = dataclasses.field(default_factory=dict)
+
+
+PRESETS = {
+    "full": Preset(seeds=10, episodes=1000, test_episodes=100),
+    "quick": Preset(seeds=2, episodes=100, test_episodes=20),
+    "paper": Preset(seeds=10, episodes=1000, test_episodes=100, changes=PAPER),
+}

@@ -1,0 +1,57 @@
+"""A preset's options stand in the defaults' place, and what is given goes before them."""
+
+import dataclasses
+
+import pytest
+
+from hitl_jax.console.cli import BadInput, checking_input, parse
+from hitl_jax.sweep.changes import changed
+from hitl_jax.sweep.options import SweepOptions
+from hitl_jax.sweep.presets import PAPER, PRESETS
+
+
+def test_the_paper_s_options_are_taken_where_none_is_given():
+    options = parse(SweepOptions, ["--preset", "paper"]).checked()
+    assert options == SweepOptions.of_preset("paper")
+    assert (options.agent.learner, options.agent.intervention) == ("ddpg", "reset")
+    assert options.agent.boundary_source == "rule"
+    assert (options.hyper.feedback, options.hyper.delta_plus) == (-20.0, 0.001)
+    assert options.scale().episodes == 1000
+
+
+def test_what_is_given_goes_before_the_preset():
+    """Also where it is the usual default."""
+    usual = SweepOptions()
+    words = ["--learner", usual.agent.learner, "--feedback", "-3", "--human.delay", "5"]
+    words += ["--episodes", "7", "--seeds", "2"]
+    for place in (0, len(words)):
+        options = parse(SweepOptions, [*words[:place], "--preset", "paper", *words[place:]])
+        assert options.agent == dataclasses.replace(
+            changed(PAPER).agent, learner=usual.agent.learner
+        )
+        assert (options.hyper.feedback, options.hyper.human.delay) == (-3.0, 5)
+        assert (options.scale().episodes, options.scale().seeds) == (7, 2)
+        assert options.scale().test_episodes == PRESETS["paper"].test_episodes
+
+
+def test_a_preset_without_changes_is_a_size():
+    assert parse(SweepOptions, ["--preset", "quick"]) == SweepOptions(preset="quick")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--preset", "best"], "--preset best: must be one of full, quick, paper"),
+        (["--preset", "paper", "--gamma", "2"], "--gamma 2.0: must be at least 0 and at most 1"),
+        (["--preset", "paper", "--gama", "1"], "Unrecognized options: --gama"),
+        (["--preset", "paper", "--feedback", "much"], "--feedback much"),
+    ],
+)
+def test_bad_input_is_told_as_without_a_preset(words, told):
+    with pytest.raises(BadInput, match=f"^{told}"), checking_input():
+        parse(SweepOptions, words).checked()
+
+
+def test_every_preset_can_be_made():
+    for name in PRESETS:
+        assert SweepOptions.of_preset(name).checked().preset == name
