@@ -228,7 +228,7 @@ def test_a_session_from_before_a_choice_was_one_goes_on_with_its_default(tmp_pat
 def test_what_cannot_be_begun_with_is_refused(changed, message, tmp_path, capsys):
     """Such as a run whose boundary is no number that a rule moves."""
     sizes = (16,) if changed else (8,)
-    setup = setup_of(LiveOptions(agent=AgentConfig(learner="td3", hidden_sizes=sizes)))
+    setup = setup_of(LiveOptions(agent=dataclasses.replace(small.AGENT, hidden_sizes=sizes)))
     train = setup.first_train(jax.random.key(0))
     arrays = checkpoint.flatten(dataclasses.replace(train, key=None), np.float32(0.3))
     np.savez(tmp_path / "start.npz", **arrays | changed)
