@@ -96,7 +96,7 @@ def _joined(text: str) -> str:
 
 
 def parse(options: type[T], args: Sequence[str], prog: str = "hitl-jax") -> T:
-    """The options of a command line; those that are not given are of the preset, if one is.
+    """The options of a command line; what is not given is as `options.defaults` says, if it does.
 
     tyro explains a bad command line in a framed box; this says the same in one line. The box is
     made once more for that, so wide that nothing in it is cut, and plain whatever the terminal is.
@@ -104,11 +104,13 @@ def parse(options: type[T], args: Sequence[str], prog: str = "hitl-jax") -> T:
     Raises:
         BadInput: what is wrong, in one line.
     """
+    defaults: Callable[[Sequence[str]], T] | None = getattr(options, "defaults", None)
+    given: dict[str, Any] = {"args": args, "prog": prog}
+    if defaults is not None:
+        given["default"] = defaults(args)
     try:
         with contextlib.redirect_stderr(io.StringIO()), checking_input():
-            parsed = tyro.cli(options, args=args, prog=prog)
-            instead = getattr(parsed, "instead_of_defaults", lambda: None)()
-            return parsed if instead is None else tyro.cli(options, args=args, default=instead)
+            return tyro.cli(options, **given)
     except SystemExit as stop:
         if stop.code in (0, None):
             raise
@@ -120,7 +122,7 @@ def parse(options: type[T], args: Sequence[str], prog: str = "hitl-jax") -> T:
         contextlib.redirect_stderr(said),
         contextlib.suppress(SystemExit),
     ):
-        tyro.cli(options, args=args, prog=prog)
+        tyro.cli(options, **given)
     raise BadInput(one_line(said.getvalue(), args))
 
 

@@ -53,11 +53,11 @@ def policy(apply: Callable[[Params, chex.Array], chex.Array], params: Params) ->
         apply: maps (params, observation [O]) to an action [A] in [-1, 1].
         params: its parameters.
     """
-    action = row_by_row(functools.partial(apply, params))
+    action = row_by_row(apply)
 
     def act(state: State, observation: chex.Array, key: chex.PRNGKey) -> tuple[State, chex.Array]:
         del key
-        return state, action(observation)
+        return state, action(params, observation)
 
     return ActionSource(init=tuple, begin_episode=lambda state: state, act=act)
 

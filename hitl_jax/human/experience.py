@@ -39,7 +39,7 @@ def expectation(observation: chex.Array) -> chex.Array:
 @functools.cache
 def _logit() -> Callable[[chex.Array], chex.Array]:
     network, (*hidden, _) = shipped_network.load(FILE, PREFIX)
-    return row_by_row(functools.partial(RiskNetwork(tuple(hidden)).apply, network))
+    return functools.partial(row_by_row(RiskNetwork(tuple(hidden)).apply), network)
 
 
 @DANGER_MODELS.register(

@@ -9,7 +9,6 @@ return becomes the hands (`human.trained_walker`).
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -69,7 +68,7 @@ EXPERIENCE_SIZES = (64, 64)
 _BATCH, _LEARNING_RATE, _UPDATES = 512, 1e-3, 20_000
 
 _BASE = changed(PAPER | {"learner": "td3-tqc"})
-"""Not the defaults, which have the human that is to be made."""
+"""Named, so that the human does not depend on the defaults."""
 
 _HYPER = dataclasses.replace(
     _BASE.hyper,
@@ -221,7 +220,7 @@ def relay(expects: Params) -> HumanPart:
     Args:
         expects: of `gain_experience`: what tells a stumble.
     """
-    logit_of = row_by_row(functools.partial(RiskNetwork(EXPERIENCE_SIZES).apply, expects))
+    logit_of = row_by_row(RiskNetwork(EXPERIENCE_SIZES).apply)
 
     def judge(
         state: tuple[chex.Array, chex.Array],
@@ -233,7 +232,7 @@ def relay(expects: Params) -> HumanPart:
         del params, dangerous
         holds, limit = state
         keys = jax.random.split(key, 3)
-        logit: chex.Array = logit_of(observation)
+        logit: chex.Array = logit_of(expects, observation)
         stumbles = jax.nn.sigmoid(logit) >= limit
         gives_back = stumbles | (jax.random.uniform(keys[0]) < _GIVES_BACK)
         begins = (jax.random.uniform(keys[1]) < _BEGINS) & ~stumbles

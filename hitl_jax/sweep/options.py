@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -41,9 +42,9 @@ class SweepOptions:
     Attributes:
         preset: `full` is the default comparison (10 seeds, 1000 episodes, 100 test episodes);
             `quick` is for looking around (2 seeds, 100 episodes, 20 test episodes, a few minutes);
-            `paper` has 10 seeds, 1000 episodes and 100 test episodes, and other options as in the
-            paper's section IV where none is given: `ddpg`, a human who judges the angle at once and
-            resets the walker, and a boundary that line 8 moves.
+            `paper` has 10 seeds, 1000 episodes and 100 test episodes, and what section IV of the
+            paper says, whatever the other defaults are: its kind of learner (`ddpg`), a human who
+            judges the angle at once and resets the walker, a boundary that line 8 moves.
         methods: which of srl, hitl-fix, hitl-ac to run.
         seeds: number of seeds for each method (default: the preset's).
         first_seed: the first of them; the others follow.
@@ -95,12 +96,24 @@ class SweepOptions:
             preset: one of `PRESETS`.
         """
         parts = changed(PRESETS[preset].changes)
-        return cls(preset, agent=parts.agent, loop=parts.loop, hyper=parts.hyper)
+        return cls(
+            preset,
+            human_policy=parts.human_policy,
+            agent=parts.agent,
+            loop=parts.loop,
+            hyper=parts.hyper,
+        )
 
-    def instead_of_defaults(self) -> "SweepOptions | None":
-        """What a command line with this preset has for defaults; None where they are the usual."""
-        known = PRESETS.get(self.preset)
-        return self.of_preset(self.preset) if known and known.changes else None
+    @classmethod
+    def defaults(cls, words: Sequence[str]) -> "SweepOptions":
+        """What is not given on a command line: of the preset that it names, the last if several."""
+        name = cls().preset
+        for word, following in zip(words, [*words[1:], ""], strict=True):
+            if word == "--preset":
+                name = following
+            elif word.startswith("--preset="):
+                name = word.partition("=")[2]
+        return cls.of_preset(name) if name in PRESETS else cls()
 
     def scale(self) -> Preset:
         """The preset, with what the options say in place of it."""

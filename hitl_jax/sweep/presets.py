@@ -11,19 +11,28 @@ PAPER: Changes = {
     "boundary_source": "rule",
     "boundary_learner": "printed",
     "boundary_hidden_sizes": (32, 32),
+    "indicator": "hull_angle",
+    "initial_boundary": 0.7,
+    "delta_minus": 0.001,
+    "delta_plus": 0.001,
     "boundary_low": 0.05,
+    "boundary_high": 1.5,
     "boundary_noise": 0.02,
     "boundary_temperature": 0.0,
     "alarm_reward": 1.0,
     "danger": "threshold",
+    "tolerance": 0.45,
+    "delay": 0,
     "intervention": "reset",
+    "human_reset_terminates": True,
+    "release": "judgement",
     "human_actions": "scripted",
     "takeover_steps": 10,
     "feedback": -20.0,
     "feedback_schedule": "step",
 }
-"""Section IV of the paper, as literally as it can be read: its kind of learner, and a human who
-judges at once by the angle that c_t is, and ends the episode."""
+"""What section IV of the paper says, and for what it leaves open the simplest: its kind of learner,
+a human who judges at once by the angle that c_t is and ends the episode, and the Δ rule."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -5,33 +5,55 @@ by the number of the rows and by its place among them. What a person's network t
 would then depend on the walkers beside it.
 """
 
+import functools
 from collections.abc import Callable
+from typing import Any
 
 import chex
 import jax
 
+from hitl_jax.types import Params
 
-def row_by_row(function: Callable[[chex.Array], chex.Array]) -> Callable[[chex.Array], chex.Array]:
-    """A function of one row that gives the same, to the last bit, in a batch of any size on a CPU.
+Apply = Callable[[Params, chex.Array], chex.Array]
+"""Maps parameters and one row [O] to an array."""
 
-    There a batch is a loop over its rows; on an accelerator it is one product, as usual.
 
-    Args:
-        function: maps one row [O] to an array. Its parameters must be the same for all rows.
+def row_by_row(apply: Apply) -> Apply:
+    """The same function, which in a batch of any size gives the same to the last bit on a CPU.
+
+    Rows that share their parameters are a loop there; on an accelerator they are one product, as
+    usual.
     """
 
     @jax.custom_batching.custom_vmap
-    def alone(row: chex.Array) -> chex.Array:
-        return function(row)
+    def alone(params: Params, row: chex.Array) -> chex.Array:
+        return apply(params, row)
 
     @alone.def_vmap
-    def _(axis_size: int, batched: list[bool], rows: chex.Array) -> tuple[chex.Array, bool]:
-        del axis_size, batched
-        result: chex.Array = jax.lax.platform_dependent(
-            rows,
-            cpu=lambda rows: jax.lax.map(alone, rows),
-            default=jax.vmap(function),
-        )
-        return result, True
+    def _(
+        axis_size: int, batched: list[Any], params: Params, row: chex.Array
+    ) -> tuple[chex.Array, Any]:
+        del axis_size
+        axes = jax.tree.map(lambda is_batched: 0 if is_batched else None, batched)
+        together = jax.vmap(apply, in_axes=axes)
+        if any(jax.tree.leaves(batched[0])):
+            result = together(params, row)
+        else:
+            result = jax.lax.platform_dependent(
+                params,
+                row,
+                cpu=lambda params, rows: jax.lax.map(functools.partial(alone, params), rows),
+                default=together,
+            )
+        return result, jax.tree.map(lambda _: True, result)
 
-    return alone
+    @jax.custom_jvp
+    def differentiable(params: Params, row: chex.Array) -> chex.Array:
+        result: chex.Array = alone(params, row)
+        return result
+
+    @differentiable.defjvp
+    def _(primals: Any, tangents: Any) -> tuple[chex.Array, chex.Array]:
+        return differentiable(*primals), jax.jvp(apply, primals, tangents)[1]
+
+    return differentiable

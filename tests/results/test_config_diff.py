@@ -1,5 +1,7 @@
 """What made results and what is here now: told by name, in one line."""
 
+import pathlib
+
 import numpy as np
 import pytest
 from example_results import CONFIG, KEY, make_episodes, make_info, make_params, make_tests
@@ -73,6 +75,17 @@ def test_parts_are_compared_where_they_mean_something(learner, differ):
         for parts in (["often"], list(MARGIN_PARTS))
     )
     assert (config_diff.compared(one) != config_diff.compared(other)) == differ
+
+
+def test_parts_that_one_side_lacks_are_not_told():
+    parts = list(MARGIN_PARTS)
+    one, other = (
+        {"agent": {"boundary_learner": learner, "margin_parts": parts}}
+        for learner in ("printed", "margin")
+    )
+    with pytest.raises(config_diff.ConfigMismatch) as caught:
+        config_diff.require_same(pathlib.Path("a"), one, other)
+    assert "margin_parts" not in str(caught.value)
 
 
 def test_versions_of_several_sittings_are_all_kept():

@@ -34,6 +34,17 @@ def test_what_is_given_goes_before_the_preset():
         assert options.scale().test_episodes == PRESETS["paper"].test_episodes
 
 
+@pytest.mark.parametrize("words", [["--preset=paper"], ["--preset", "quick", "--preset", "paper"]])
+def test_the_last_preset_counts_however_it_is_written(words):
+    assert parse(SweepOptions, words) == SweepOptions.of_preset("paper")
+
+
+def test_help_shows_the_preset_s_defaults(capsys):
+    with pytest.raises(SystemExit):
+        parse(SweepOptions, ["--preset", "paper", "--help"])
+    assert "(default: ddpg)" in capsys.readouterr().out
+
+
 def test_a_preset_without_changes_is_a_size():
     assert parse(SweepOptions, ["--preset", "quick"]) == SweepOptions(preset="quick")
 
