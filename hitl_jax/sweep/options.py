@@ -1,6 +1,7 @@
 """The options of a sweep, with units and defaults."""
 
 import dataclasses
+import itertools
 import os
 from collections.abc import Sequence
 from typing import Annotated
@@ -108,7 +109,7 @@ class SweepOptions:
     def defaults(cls, words: Sequence[str]) -> "SweepOptions":
         """What is not given on a command line: of the preset that it names, the last if several."""
         name = cls().preset
-        for word, following in zip(words, [*words[1:], ""], strict=True):
+        for word, following in itertools.pairwise([*words, ""]):
             if word == "--preset":
                 name = following
             elif word.startswith("--preset="):

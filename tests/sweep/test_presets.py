@@ -47,12 +47,14 @@ def test_help_shows_the_preset_s_defaults(capsys):
 
 def test_a_preset_without_changes_is_a_size():
     assert parse(SweepOptions, ["--preset", "quick"]) == SweepOptions(preset="quick")
+    assert parse(SweepOptions, []) == SweepOptions()
 
 
 @pytest.mark.parametrize(
     ("words", "told"),
     [
         (["--preset", "best"], "--preset best: must be one of full, quick, paper"),
+        (["--preset"], "Missing value for argument '--preset"),
         (["--preset", "paper", "--gamma", "2"], "--gamma 2.0: must be at least 0 and at most 1"),
         (["--preset", "paper", "--gama", "1"], "Unrecognized options: --gama"),
         (["--preset", "paper", "--feedback", "much"], "--feedback much"),
