@@ -23,6 +23,12 @@ def row_by_row(apply: Apply) -> Apply:
 
     Rows that share their parameters are a loop there; on an accelerator they are one product, as
     usual.
+
+    Args:
+        apply: maps parameters, any pytree of arrays, and one row [O] to an array.
+
+    Returns:
+        The function, to be used under `jit`, `vmap` and `grad` as `apply` is.
     """
 
     @jax.custom_batching.custom_vmap

@@ -11,13 +11,9 @@ import pytest
 from hitl_jax.boundary import alarm, margin
 from hitl_jax.boundary.decisions import sample_decisions
 from hitl_jax.boundary.margin import MarginLearner, alarm_probability
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.errors import InvalidValue
+from hitl_jax.config import Hyper
 from hitl_jax.learner import replay
 from hitl_jax.learner.frame import CUT_OFF, Layout
-from hitl_jax.team import agent as agents
-from hitl_jax.team.agent import make_agent
-from hitl_jax.training.run_spec import LoopConfig
 from hitl_jax.types import BoundaryTransition
 
 _LEARNER = MarginLearner(2, (32,))
@@ -284,14 +280,6 @@ def test_each_part_can_be_left_out(left_out):
     assert not equal(after(whole), after(learner))
 
 
-def test_unknown_parts_are_one_line():
-    with pytest.raises(InvalidValue, match=r"^margin_parts x: must be one of heavy_tails, often"):
-        AgentConfig(margin_parts=("x",))
-    with pytest.raises(InvalidValue, match=r"^margin_parts often often: each at most once$"):
-        AgentConfig(margin_parts=("often", "often"))
-    assert make_agent(AgentConfig(boundary_learner="margin", margin_parts=())).boundary_learner
-
-
 @pytest.mark.parametrize(
     ("size", "boundary"), [(0.02, 0.06), (0.02, 1.49), (1.6, 1.49), (0.5, 0.4)]
 )
@@ -311,44 +299,3 @@ def test_other_samples_are_refused_in_one_line():
     sample = BoundaryTransition(one, one[0, :1], one[0, :1], one[0, :1], one, one[0, :1])
     with pytest.raises(ValueError, match=r"^samples without indicators and alarms"):
         _LEARNER.improve(_HYPER, state, sample)
-
-
-def test_a_replay_that_holds_no_takeover_is_refused():
-    with pytest.raises(InvalidValue, match=r"^capacity 96: must be at least 128 with"):
-        LoopConfig(capacity=96).require_frames(_LEARNER.least_frames, "margin")
-    LoopConfig(capacity=128).require_frames(_LEARNER.least_frames, "margin")
-
-
-def test_a_team_learns_with_it():
-    config = AgentConfig(
-        learner="td3",
-        hidden_sizes=(8,),
-        batch_size=8,
-        boundary_learner="margin",
-        boundary_source="network",
-        boundary_hidden_sizes=(8,),
-        boundary_batch_size=8,
-        indicator="fall_risk",
-    )
-    agent = agents.make_agent(config)
-    layout = agent.layout
-    frames = np.random.default_rng(0).normal(size=(1, 128, layout.width)).astype(np.float32)
-    frames[..., layout.terminated : layout.final + 1] = 0.0
-    frames[..., layout.event] = 0.0
-    memory = replay.add(replay.begin_run(replay.init(128, 1, layout), 0), frames)
-    state = agents.init(agent, jax.random.key(0))
-    learn = jax.jit(functools.partial(agents.learn, agent), static_argnums=4)
-    for method in Method:
-        after = learn(hyper_for(method, Hyper()), state, memory, 0, 4)
-        changed = jax.tree.map(
-            lambda a, b: bool((a != b).any()), after.boundary.actor, state.boundary.actor
-        )
-        assert any(jax.tree.leaves(changed)) is (method is Method.HITL_AC)
-        assert np.isfinite(jax.tree.reduce(lambda a, b: a + b.sum(), after.boundary.critic, 0.0))
-
-
-def test_an_unknown_learner_is_one_line():
-    with pytest.raises(
-        InvalidValue, match=r"^boundary_learner x: must be one of printed, margin, or"
-    ):
-        AgentConfig(boundary_learner="x")

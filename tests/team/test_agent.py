@@ -9,7 +9,6 @@ from paper_team import paper_config, paper_hyper
 
 from hitl_jax import human
 from hitl_jax.config import Method, hyper_for
-from hitl_jax.evaluation import trials
 from hitl_jax.human import actions as human_actions
 from hitl_jax.learner import replay
 from hitl_jax.team import acting
@@ -315,38 +314,6 @@ def test_exploration_noise_has_its_scale_and_correlation():
     np.testing.assert_allclose(noise.std(axis=0), 0.1, atol=0.005)
     correlation = [np.corrcoef(n[:-1], n[1:])[0, 1] for n in noise.T]
     np.testing.assert_allclose(correlation, 0.8, atol=0.02)
-
-
-def test_every_so_many_episodes_are_noise_free():
-    agent = agents.make_agent(paper_config())
-    hyper = hyper_for(Method.SRL, paper_hyper(noise_free_every=3, warmup_steps=0))
-    params = agents.behavior(agents.init(agent, jax.random.key(1)))
-    observation = _walk([0.0])[0]
-    greedy = agent.learner.actor.apply(params.actor, observation)
-    state = acting.init_acting(agent, hyper, jax.random.key(0))
-    noise_free = []
-    for _ in range(7):
-        state = acting.begin_episode(agent, state)
-        state, decision = acting.act(agent, hyper, params, state, observation)
-        noise_free.append(bool(jnp.all(decision.action == greedy)))
-    assert noise_free == [False, False, True, False, False, True, False]
-
-
-def test_every_so_many_episodes_are_walked_without_the_human_but_no_tests():
-    agent = agents.make_agent(paper_config(intervention="takeover"))
-    params = agents.behavior(agents.init(agent, jax.random.key(1)))
-    hyper = hyper_for(Method.HITL_FIX, paper_hyper(unattended_every=2))
-    for each, expected in (
-        (hyper, [True, False, True, False]),
-        (trials.frozen(hyper, human_present=True), [True] * 4),
-    ):
-        state, attended = acting.init_acting(agent, each, jax.random.key(0)), []
-        for _ in expected:
-            state = acting.begin_episode(agent, state)
-            state, decision = acting.act(agent, each, params, state, _walk([0.9])[0])
-            assert decision.alarmed == decision.control == (decision.boundary_reward != 0.0)
-            attended.append(bool(decision.control))
-        assert attended == expected
 
 
 def test_updates_must_keep_step_with_the_policy_delay():
