@@ -17,6 +17,8 @@ _KINDS = {
 """What a value must be, by what `--help` shows in its place."""
 
 _TOO_MANY = "Unrecognized options: "
+_MISSING = re.compile(r"Missing value for argument .*?(--[\w.-]+)\W*\. Expected")
+"""Versions of tyro quote the option in different ways."""
 
 
 def one_line(box: str, words: Sequence[str]) -> str:
@@ -32,6 +34,8 @@ def one_line(box: str, words: Sequence[str]) -> str:
     split = [part for word in words for part in _split(word)]
     if message.startswith(_TOO_MANY):
         return _too_many(message, split)
+    if missing := _MISSING.match(message):
+        return f"{missing[1]}: a value is missing"
     told = re.match(r"Error parsing (--\S+):", message)
     return _of_another_kind(message, told[1], lines, split) if told else message
 
@@ -46,9 +50,11 @@ def _too_many(message: str, words: list[str]) -> str:
     before = [i for i, word in enumerate(words[:place]) if _is_option(word)]
     if not before:
         return message
-    option, word = words[before[-1]], words[place]
-    given = _shown(words[before[-1] : place + 1])
-    if place == before[-1] + 1:
+    first = before[-1]
+    option, word = words[first], words[place]
+    alone = first - 1 not in before  # Else tyro may have taken this option as the value of that.
+    given = _shown(words[first - (not alone) : place + 1])
+    if alone and place == first + 1:
         name = option.removeprefix("--")
         other = name.removeprefix("no-") if name.startswith("no-") else f"no-{name}"
         return f"{given}: takes no value; --{other} is its opposite"

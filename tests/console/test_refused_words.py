@@ -24,13 +24,20 @@ from hitl_jax.sweep.options import SweepOptions
         ("--hidden-sizes 8 a", "--hidden-sizes 8 a: must be whole numbers"),
         ("--seeds many", "--seeds many: must be a whole number"),
         ("--gamma half", "--gamma half: must be a number"),
-        ("--gamma", "Missing value for argument"),
+        ("--gamma", "--gamma: a value is missing"),
+        ("--seeds 2 --gamma", "--gamma: a value is missing"),
+        ("--no-layer-norm --seeds 2 3", "--no-layer-norm --seeds 2 3: 3 is a word too many"),
     ],
 )
 def test_the_option_is_named(words, told):
     with pytest.raises(BadInput) as caught:
         parse(SweepOptions, words.split())
     assert str(caught.value).startswith(told)
+
+
+def test_an_option_in_the_place_of_a_value():
+    with pytest.raises(BadInput, match=r"^--human.mistake-rate(: a v| --seeds 2: 2 is a word t)"):
+        parse(SweepOptions, ["--human.mistake-rate", "--seeds", "2"])
 
 
 def test_a_word_after_the_folder():

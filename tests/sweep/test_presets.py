@@ -54,7 +54,7 @@ def test_a_preset_without_changes_is_a_size():
     ("words", "told"),
     [
         (["--preset", "best"], "--preset best: must be one of full, quick, paper"),
-        (["--preset"], "Missing value for argument '--preset"),
+        (["--preset"], "--preset: a value is missing"),
         (["--preset", "paper", "--gamma", "2"], "--gamma 2.0: must be at least 0 and at most 1"),
         (["--preset", "paper", "--gama", "1"], "Unrecognized options: --gama"),
         (["--preset", "paper", "--feedback", "much"], "--feedback much"),
