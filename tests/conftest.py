@@ -19,7 +19,7 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     _programs = tempfile.mkdtemp(prefix="hitl-jax-tests-")
     atexit.register(shutil.rmtree, _programs, ignore_errors=True)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = _programs
-    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 
 # Compiled in haste: it takes two thirds of the time.
 os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"

@@ -6,6 +6,7 @@ import json
 import pathlib
 from typing import Any
 
+import compiled
 import jax
 import numpy as np
 from live_team import setup_of
@@ -130,7 +131,7 @@ def small_team() -> agents.Agent:
 
 @functools.cache
 def params_of_a_team() -> dict[str, np.ndarray]:
-    return checkpoint.flatten(agents.init(small_team(), jax.random.key(0)), np.float32(0.7))
+    return checkpoint.flatten(compiled.init(small_team(), jax.random.key(0)), np.float32(0.7))
 
 
 def _save_run(folder: ResultsFolder, config: dict[str, Any], rng: np.random.Generator) -> None:

@@ -2,6 +2,7 @@
 
 import functools
 
+import compiled
 import jax
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ def test_a_team_learns_with_it():
     frames[..., layout.terminated : layout.final + 1] = 0.0
     frames[..., layout.event] = 0.0
     memory = replay.add(replay.begin_run(replay.init(128, 1, layout), 0), frames)
-    state = agents.init(agent, jax.random.key(0))
+    state = compiled.init(agent, jax.random.key(0))
     learn = jax.jit(functools.partial(agents.learn, agent), static_argnums=4)
     for method in Method:
         after = learn(hyper_for(method, Hyper()), state, memory, 0, 4)

@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 
+import compiled
 import jax
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ def _folder(path, source, carry=0.25):
     hyper = dataclasses.asdict(paper_hyper(initial_boundary=0.6))
     document = {"agent": dataclasses.asdict(config), "hyper": hyper, "episodes": 1}
     folder.create_or_resume(document, "command")
-    state = agents.init(agents.make_agent(config), jax.random.key(0))
+    state = compiled.init(agents.make_agent(config), jax.random.key(0))
     info = {"config": document, "versions": {}, "commit": None}
     info |= {"wall_seconds": 1.0, "env_steps": 0, "updates": 0}
     episodes = {name: [0] for name in EPISODE_COLUMNS} | {"end": ["fall"]}

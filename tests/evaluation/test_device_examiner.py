@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import compiled
 import device_toy
 import jax
 import numpy as np
@@ -34,7 +35,7 @@ def _finished(method, seed):
     hyper = hyper_for(
         method, paper_hyper(initial_boundary=0.3, takeover_steps=3, exploration_noise=0.5)
     )
-    states = [agents.init(_AGENT, jax.random.key(10 * seed + n)) for n in range(4)]
+    states = [compiled.init(_AGENT, jax.random.key(10 * seed + n)) for n in range(4)]
     early = [jax.device_get(agents.behavior(state)) for state in states[:-1]]
     snapshots = [Snapshot(n, one, np.float32(0.2 + n / 10)) for n, one in enumerate(early, 1)]
     run = Run(RunSpec(method, seed, hyper, episodes=9), 0, snapshots=snapshots)

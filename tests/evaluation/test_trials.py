@@ -1,3 +1,4 @@
+import compiled
 import jax
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ _SEEDS = np.arange(5, dtype=np.uint32)
 def _evaluate(mode, method=Method.HITL_AC, boundary=0.4, seeds=_SEEDS, config=None, **changes):
     config = config or paper_config(hidden_sizes=(16,))
     agent = agents.make_agent(config)
-    params = agents.behavior(agents.init(agent, jax.random.key(0)))
+    params = agents.behavior(compiled.init(agent, jax.random.key(0)))
     hyper = hyper_for(method, paper_hyper(takeover_steps=3, delta_minus=0.1, **changes))
     evaluator = HostExaminer(agent, ToyPool(len(seeds)))
     policy = jax.tree.map(lambda leaf: leaf[None], params)
@@ -57,7 +58,7 @@ def test_an_episode_does_not_depend_on_its_place():
 
 def test_snapshots_share_the_walkers_and_are_tested_as_the_end_is():
     agent = agents.make_agent(paper_config(hidden_sizes=(16,)))
-    trained = [agents.init(agent, jax.random.key(seed)) for seed in range(3)]
+    trained = [compiled.init(agent, jax.random.key(seed)) for seed in range(3)]
     spec = RunSpec(Method.HITL_AC, 0, hyper_for(Method.HITL_AC, paper_hyper()), episodes=9)
     snapshots = [
         Snapshot(3 * (n + 1), agents.behavior(state), np.float32(0.3 + 0.1 * n))

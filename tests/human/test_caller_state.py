@@ -2,6 +2,7 @@
 
 import functools
 
+import compiled
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -147,7 +148,7 @@ def _acted(start, step, steps=8):
 def _params(agent):
     from hitl_jax.team import agent as agents
 
-    return agents.behavior(agents.init(agent, make_key(0)))
+    return agents.behavior(compiled.init(agent, make_key(0)))
 
 
 @pytest.mark.parametrize(

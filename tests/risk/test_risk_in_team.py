@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import compiled
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -33,9 +34,9 @@ def memory():
 
 
 def _learned(team, method, memory):
-    state = agents.init(team, _KEY)
+    state = compiled.init(team, _KEY)
     hyper = hyper_for(method, paper_hyper())
-    return state, agents.learn(team, hyper, state, memory, jnp.int32(0), 2)
+    return state, compiled.learn(team, hyper, state, memory, jnp.int32(0), 2)
 
 
 def _same(one, other):
@@ -59,7 +60,7 @@ def test_the_other_learners_are_as_without_it(memory):
 
 
 def test_the_alarm_is_raised_by_the_risk():
-    behavior = agents.behavior(agents.init(_TEAM, _KEY))
+    behavior = agents.behavior(compiled.init(_TEAM, _KEY))
     seen = jax.random.normal(jax.random.key(1), (24,))
     risk = float(_TEAM.risk_learner.risk(behavior.risk, seen))
     assert float(_TEAM.safety_indicator(behavior, seen)) == risk
@@ -70,7 +71,7 @@ def test_the_alarm_is_raised_by_the_risk():
 
 
 def test_it_is_saved_with_the_networks_and_comes_back():
-    state = agents.init(_TEAM, _KEY)
+    state = compiled.init(_TEAM, _KEY)
     arrays = checkpoint.flatten(state, np.float32(0.5))
     assert {"risk/network/params/Dense_0/kernel", "risk/slope", "risk/offset"} <= set(arrays)
     back = checkpoint.networks_of(_TEAM, arrays)["risk"]
@@ -79,4 +80,4 @@ def test_it_is_saved_with_the_networks_and_comes_back():
 
 
 def _names_alone():
-    return checkpoint.flatten(agents.init(make_agent(_CONFIG), _KEY), np.float32(0.5))
+    return checkpoint.flatten(compiled.init(make_agent(_CONFIG), _KEY), np.float32(0.5))

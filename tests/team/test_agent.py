@@ -1,6 +1,7 @@
 import functools
 
 import chex
+import compiled
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -52,18 +53,16 @@ def _probe_hyper(**changes):
     return hyper_for(Method.SRL, hyper)
 
 
-_learn = jax.jit(agents.learn, static_argnums=(0, 5))
-
 # Tests of a learner share its compiled program: frames of one shape, this many updates at a time.
 _FRAMES, _UPDATES = 3 * 2 * 682, 1000
 
 
 def _train(agent, hyper, frames, updates):
     memory = replay.add(replay.init(frames.shape[1], 1, agent.layout), frames)
-    state = agents.init(agent, jax.random.key(0))
+    state = compiled.init(agent, jax.random.key(0))
     assert updates % _UPDATES == 0
     for _ in range(0, updates, _UPDATES):
-        state = _learn(agent, hyper, state, memory, jnp.int32(0), _UPDATES)
+        state = compiled.learn(agent, hyper, state, memory, jnp.int32(0), _UPDATES)
     return state
 
 
@@ -138,7 +137,7 @@ def test_bfloat16_changes_what_actor_and_critics_learn_and_not_how_the_actor_act
     arrays |= {name: rng.normal(size=64) for name in ("reward", "discount")}
     batch = Transition(**arrays, next_observation=rng.normal(size=(64, 1)))
     batch = jax.tree.map(jnp.float32, batch)
-    before = agents.init(exact, jax.random.key(0))
+    before = compiled.init(exact, jax.random.key(0))
     one, other = (
         jax.jit(agents.update, static_argnums=0)(agent, hyper, before, batch, batch.action)[0]
         for agent in (exact, rounded)
@@ -168,8 +167,8 @@ def test_learn_is_one_update_after_another(learner):
     before_flags = frames[:, :, : agent.layout.terminated]
     before_flags[:] = np.random.default_rng(0).normal(size=before_flags.shape)
     memory = replay.add(replay.init(256, 1, agent.layout), frames)
-    before, updates, column = agents.init(agent, jax.random.key(0)), 4, jnp.int32(0)
-    learned = _learn(agent, hyper, before, memory, column, updates)
+    before, updates, column = compiled.init(agent, jax.random.key(0)), 4, jnp.int32(0)
+    learned = compiled.learn(agent, hyper, before, memory, column, updates)
     key, sample_key, noise_key, boundary_key = jax.random.split(before.key, 4)
     size, gamma = config.batch_size, jnp.float32(hyper.gamma)
     draw = replay.draw(
@@ -182,18 +181,18 @@ def test_learn_is_one_update_after_another(learner):
         part = slice(index * size, (index + 1) * size)
         one = jax.tree.map(lambda leaf, part=part: leaf[part], batch)
         last = index % delay == delay - 1
-        state, _ = agents.update(agent, hyper, state, one, noise[part], last)
+        state, _ = compiled.update(agent, hyper, state, one, noise[part], last)
     pool = replay.sample_boundary(
         memory, agent.layout, column, boundary_key, config.boundary_batch_size, gamma
     )
-    state, _ = agents.update_boundary(agent, hyper, state, pool)
+    state, _ = compiled.update_boundary(agent, hyper, state, pool)
     chex.assert_trees_all_close(
         (learned.learner, learned.boundary), (state.learner, state.boundary), rtol=1e-3, atol=1e-5
     )
     chex.assert_trees_all_equal(*(jax.random.key_data(each) for each in (learned.key, key)))
     for method in (Method.SRL, Method.HITL_FIX):
         other = hyper_for(method, paper_hyper(target_step_size=0.5))
-        fixed = _learn(agent, other, before, memory, column, updates)
+        fixed = compiled.learn(agent, other, before, memory, column, updates)
         chex.assert_trees_all_equal(fixed.boundary, before.boundary)
         chex.assert_trees_all_close(fixed.learner, learned.learner, rtol=1e-3, atol=1e-5)
 
@@ -201,7 +200,7 @@ def test_learn_is_one_update_after_another(learner):
 def _act_many(agent, hyper, observations, key=None):
     """Decisions along a sequence of observations [T, O]."""
     state = acting.init_acting(agent, hyper, jax.random.key(0) if key is None else key)
-    params = agents.behavior(agents.init(agent, jax.random.key(1)))
+    params = agents.behavior(compiled.init(agent, jax.random.key(1)))
 
     def step(state, observation):
         return acting.act(agent, hyper, params, state, observation)
@@ -306,7 +305,7 @@ def test_exploration_noise_has_its_scale_and_correlation():
     hyper = paper_hyper(
         exploration_noise=0.1, noise_correlation=0.8, noise_free_every=0, warmup_steps=0
     )
-    params = agents.behavior(agents.init(agent, jax.random.key(1)))
+    params = agents.behavior(compiled.init(agent, jax.random.key(1)))
     observations = _walk([0.0] * 20_000)
     _, decision = _act_many(agent, hyper_for(Method.SRL, hyper), observations)
     noise = np.asarray(decision.action - agent.learner.actor.apply(params.actor, observations))

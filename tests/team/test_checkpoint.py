@@ -1,3 +1,4 @@
+import compiled
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +15,7 @@ from hitl_jax.team.array_names import by_name, from_names
 @pytest.fixture
 def saved(tmp_path):
     agent = agents.make_agent(paper_config(hidden_sizes=(16, 8)))
-    train = agents.init(agent, jax.random.key(0))
+    train = compiled.init(agent, jax.random.key(0))
     path = tmp_path / "params.npz"
     np.savez(path, **checkpoint.flatten(train, np.float32(0.4)))
     return path, train
@@ -72,7 +73,7 @@ def test_two_arrays_of_one_name_are_refused():
 
 def test_a_learner_in_plain_jax_comes_back():
     agent = agents.make_agent(paper_config(learner="my_plain:plain", boundary_hidden_sizes=(4,)))
-    train = agents.init(agent, jax.random.key(0))
+    train = compiled.init(agent, jax.random.key(0))
     back = checkpoint.networks_of(agent, checkpoint.flatten(train, np.float32(0.4)))
     jax.tree.map(np.testing.assert_array_equal, back["actor"], train.learner.actor)
     jax.tree.map(np.testing.assert_array_equal, back["critic"], train.learner.critic)

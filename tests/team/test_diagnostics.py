@@ -1,5 +1,6 @@
 """What is measured of a run's learners, and that to look changes nothing."""
 
+import compiled
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -43,7 +44,7 @@ def _memory():
 @pytest.mark.parametrize("method", list(Method))
 def test_metrics_are_those_of_the_sample(method):
     hyper = typed(_AGENT.with_extra(hyper_for(method, paper_hyper())))
-    state = agents.init(_AGENT, jax.random.key(0))
+    state = compiled.init(_AGENT, jax.random.key(0))
     memory, frame = _memory()
     metrics = jax.jit(diagnostics.diagnose, static_argnums=0)(
         _AGENT, hyper, state, memory, jnp.int32(0)

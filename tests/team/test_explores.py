@@ -1,5 +1,6 @@
 """Which steps are told from those of a test: with action noise, or at random in the warm-up."""
 
+import compiled
 import jax
 import jax.numpy as jnp
 import pytest
@@ -14,7 +15,7 @@ def _told(**hyper):
     """`Frame.explores` of the first step of five episodes, as the replay gets it."""
     agent = agents.make_agent(paper_config())
     run = hyper_for(Method.SRL, paper_hyper(**hyper))
-    params = agents.behavior(agents.init(agent, jax.random.key(1)))
+    params = agents.behavior(compiled.init(agent, jax.random.key(1)))
     state = acting.init_acting(agent, run, jax.random.key(0))
     step = jax.jit(
         lambda state, live: packed_decision.act_or_begin(

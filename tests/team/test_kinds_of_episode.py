@@ -1,5 +1,6 @@
 """Training episodes without action noise, and without the human."""
 
+import compiled
 import jax
 import jax.numpy as jnp
 from paper_team import paper_config, paper_hyper
@@ -16,7 +17,7 @@ _TILTED = _UPRIGHT.at[0].set(0.9)
 def test_every_so_many_episodes_are_noise_free():
     agent = agents.make_agent(paper_config())
     hyper = hyper_for(Method.SRL, paper_hyper(noise_free_every=3, warmup_steps=0))
-    params = agents.behavior(agents.init(agent, jax.random.key(1)))
+    params = agents.behavior(compiled.init(agent, jax.random.key(1)))
     greedy = agent.learner.actor.apply(params.actor, _UPRIGHT)
     state = acting.init_acting(agent, hyper, jax.random.key(0))
     noise_free = []
@@ -29,7 +30,7 @@ def test_every_so_many_episodes_are_noise_free():
 
 def test_every_so_many_episodes_are_walked_without_the_human_but_no_tests():
     agent = agents.make_agent(paper_config(intervention="takeover"))
-    params = agents.behavior(agents.init(agent, jax.random.key(1)))
+    params = agents.behavior(compiled.init(agent, jax.random.key(1)))
     hyper = hyper_for(Method.HITL_FIX, paper_hyper(unattended_every=2))
     for each, expected in (
         (hyper, [True, False, True, False]),

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import compiled
 import device_toy
 import jax
 import jax.numpy as jnp
@@ -93,7 +94,7 @@ def test_feedback_that_is_not_given_is_not_in_a_reward(schedule, module):
 
 def test_an_update_whose_next_observation_is_masked_is_finite():
     agent = agents.make_agent(CONFIG)
-    state = agents.init(agent, jax.random.key(0))
+    state = compiled.init(agent, jax.random.key(0))
     batch = agents.Transition(
         observation=jnp.ones((4, 24)),
         action=jnp.ones((4, 4)),
@@ -102,7 +103,7 @@ def test_an_update_whose_next_observation_is_masked_is_finite():
         next_observation=jnp.full((4, 24), jnp.nan),
     )
     hyper = hyper_for(Method.SRL, HYPER)
-    after, metrics = agents.update(agent, hyper, state, batch, jnp.zeros((4, 4)))
+    after, metrics = compiled.update(agent, hyper, state, batch, jnp.zeros((4, 4)))
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((after.learner, metrics)))
 
 
@@ -219,7 +220,7 @@ def test_the_device_ends_a_run_where_the_host_does(field, at, monkeypatch):
 
 def _finished():
     agent = agents.make_agent(CONFIG)
-    train = agents.init(agent, jax.random.key(3))
+    train = compiled.init(agent, jax.random.key(3))
     spec = RunSpec(Method.HITL_AC, 0, hyper_for(Method.HITL_AC, HYPER), 9)
     return agent, FinishedRun(Run(spec, 0), train, np.float32(0.25))
 
