@@ -45,9 +45,9 @@ def test_bad_choices_are_named(change, message):
         ({"gamma": float("nan")}, "gamma nan: must be a finite number"),
         (
             {"initial_boundary": 9.0},
-            "initial_boundary 9.0: must be at least boundary_low 0.05 and at most",
+            "initial_boundary 9.0: must be at least boundary_low 0 and at most",
         ),
-        ({"boundary_high": 0.01}, "boundary_high 0.01: must be at least boundary_low 0.05"),
+        ({"boundary_low": 2.0}, "boundary_high 1.5: must be at least boundary_low 2"),
         ({"takeover_steps": 0}, "takeover_steps 0: must be at least 1"),
         ({"feedback": float("inf")}, "feedback inf: must be a finite number"),
     ],
