@@ -24,14 +24,17 @@ _CLAIMS: tuple[Callable[[ComparedRuns], Claim | None], ...] = (
 )
 
 
-def judge(runs: dict[str, list[Run]], tolerance: float) -> list[Claim]:
+def judge(
+    runs: dict[str, list[Run]], tolerance: float | None, bounds: tuple[float, float]
+) -> list[Claim]:
     """All claims that a folder with the three methods can answer.
 
     Only seeds count that all three methods have finished.
 
     Args:
         runs: finished runs by method.
-        tolerance: hull angle from which the human sees danger [rad].
+        tolerance: hull angle from which the human sees danger [rad]; None where it is no angle.
+        bounds: of the boundary, low and high.
 
     Raises:
         ValueError: if there are fewer than `MIN_SEEDS` such seeds.
@@ -41,5 +44,5 @@ def judge(runs: dict[str, list[Run]], tolerance: float) -> list[Claim]:
     if len(common) < MIN_SEEDS:
         raise ValueError(f"{len(common)} seeds done in all methods, of at least {MIN_SEEDS}")
     compared = [[of[seed] for seed in common] for of in by_seed]
-    results = ComparedRuns(dict(zip(METHODS, compared, strict=True)), tolerance)
+    results = ComparedRuns(dict(zip(METHODS, compared, strict=True)), tolerance, bounds)
     return [claim for judged in _CLAIMS if (claim := judged(results)) is not None]

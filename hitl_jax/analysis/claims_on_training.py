@@ -17,6 +17,11 @@ _NEAR = 0.05
 """Of the human's threshold, at the end of training [rad]."""
 _SETTLED = 0.03
 """Of the human's threshold, for good [rad]."""
+_EDGE = 0.05
+"""Of the bounds' distance: nearer to one of them than this a boundary has run to it."""
+_MOST_SEEDS = 0.9
+_LAST = 20
+"""Episodes at the end of training, over which a boundary is averaged: one state's says little."""
 
 
 def speed(results: ComparedRuns) -> Claim:
@@ -64,22 +69,53 @@ def speed_in_steps(results: ComparedRuns) -> Claim:
 
 
 def boundary(results: ComparedRuns) -> Claim:
-    """Figure 6: where each seed's boundary ends, and from when on it stays there."""
+    """Figure 6: where each seed's boundary ends."""
+    if results.tolerance is None:
+        return _within_bounds(results)
+    return _at_the_threshold(results, results.tolerance)
+
+
+def mean_boundary(run: Run) -> float:
+    """Mean of the executed boundary over a run's last episodes; NaN if none had one."""
+    means = run.episodes["mean_boundary"][-_LAST:]
+    means = means[~np.isnan(means)]
+    return means.mean().item() if means.size else np.nan
+
+
+def _within_bounds(results: ComparedRuns) -> Claim:
+    """A human who goes by no angle has no threshold: the boundary must run to neither bound."""
+    low, high = results.bounds
+    edge = _EDGE * (high - low)
+    ends = np.array([mean_boundary(run) for run in results.runs["hitl-ac"]])
+    inside = (ends > low + edge) & (ends < high - edge)
+    return Claim(
+        "The boundary (Figure 6)",
+        "a learned trend beside the reward",
+        f"for nine of ten seeds, the mean of the last {_LAST} episodes is more than {edge:g} away "
+        f"from both bounds, {low:g} and {high:g}",
+        f"{inside.sum()} of {inside.size} seeds, from {ends.min():.3f} to {ends.max():.3f}",
+        UNDECIDED if np.isnan(ends).any() else HOLDS if inside.mean() >= _MOST_SEEDS else HOLDS_NOT,
+        results.seeds,
+    )
+
+
+def _at_the_threshold(results: ComparedRuns, threshold: float) -> Claim:
+    """Where each seed's boundary ends, and from when on it stays near the human's threshold."""
     ends, settled = [], []
     for run in results.runs["hitl-ac"]:
         trace = run.episodes["final_boundary"]
         ends.append(trace[-1])
-        away = np.flatnonzero(~(np.abs(trace - results.tolerance) <= _SETTLED))  # NaN is away.
+        away = np.flatnonzero(~(np.abs(trace - threshold) <= _SETTLED))  # NaN is away.
         settled.append(away[-1] + 2.0 if away.size else 1.0)
         if settled[-1] > len(trace):
             settled[-1] = np.inf
-    near = np.abs(np.array(ends) - results.tolerance) <= _NEAR
+    near = np.abs(np.array(ends) - threshold) <= _NEAR
     least, most = np.min(ends), np.max(ends)
     return Claim(
         "The boundary (Figure 6)",
         "a learned trend beside the reward",
         f"for every seed, within {_NEAR} rad of the human's own threshold of "
-        f"{results.tolerance:g} rad at the end of training",
+        f"{threshold:g} rad at the end of training",
         f"{near.sum()} of {near.size} seeds, from {least:.3f} to {most:.3f} rad; within "
         f"{_SETTLED} rad for good from episode {_episode(np.median(settled))} on by the median "
         f"({_episode(min(settled))} to {_episode(max(settled))})",

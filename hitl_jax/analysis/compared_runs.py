@@ -14,11 +14,13 @@ class ComparedRuns(NamedTuple):
 
     Attributes:
         runs: finished runs by method.
-        tolerance: hull angle from which the human sees danger [rad].
+        tolerance: hull angle from which the human sees danger [rad]; None where it is no angle.
+        bounds: of the boundary, low and high.
     """
 
     runs: dict[str, list[Run]]
-    tolerance: float
+    tolerance: float | None
+    bounds: tuple[float, float]
 
     @property
     def seeds(self) -> int:

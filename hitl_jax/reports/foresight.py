@@ -23,7 +23,7 @@ from hitl_jax.config import Method
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.provenance import short_commit
 
-FOLDERS = ("foresight_ddpg", "foresight_120", "foresight_160")
+FOLDERS = ("full", "foresight_ddpg", "foresight_120", "foresight_160")
 
 _FALSE_ALARMS = 0.01
 _METHOD = str(Method.HITL_AC)

@@ -14,6 +14,7 @@ import numpy as np
 
 from hitl_jax.analysis import alarm_figures, boundary_map, warning_figures
 from hitl_jax.analysis.claims import judge
+from hitl_jax.analysis.figure_data import tolerance_in
 from hitl_jax.analysis.figures import draw_all
 from hitl_jax.analysis.markdown import table
 from hitl_jax.analysis.summary import write_summary
@@ -42,6 +43,7 @@ _BUDGETS: dict[str, dict[str, Any]] = {"boundary-parts": _EARLY, "boundary-start
 """Of ablations that are not run with the command's defaults: later their walkers hardly fall."""
 
 
+_BASE = "Settings change the options of `sweep --preset paper --learner td3-tqc`, the base.\n"
 _FIGURES = {
     "figure4_training": "training return over episodes",
     "figure4_steps": "the same over environment steps",
@@ -55,15 +57,16 @@ _FIGURES = {
 
 
 class _Comparison(NamedTuple):
-    """A comparison of the three methods: its learner, with options that are not defaults."""
+    """A comparison of the three methods: with which options, and its folder."""
 
-    learner: str
+    options: str
     folder: str
 
 
 _COMPARISONS = (
-    _Comparison("td3-tqc", "ten_seeds"),
-    _Comparison("ddpg", "ten_seeds_ddpg"),
+    _Comparison("the defaults", "full"),
+    _Comparison("`--preset paper --learner td3-tqc`", "ten_seeds"),
+    _Comparison("`--preset paper`", "ten_seeds_ddpg"),
 )
 
 
@@ -110,7 +113,7 @@ def write_report(root: pathlib.Path, say: Callable[[str], None]) -> pathlib.Path
 
 def _comparison(comparison: _Comparison, root: pathlib.Path, say: Callable[[str], None]) -> str:
     folder = ResultsFolder(root / comparison.folder)
-    title = f"## The three methods with `--learner {comparison.learner}`\n"
+    title = f"## The three methods with {comparison.options}\n"
     if not folder.path.exists():
         return f"{title}\nNot run yet.\n"
     write_summary(folder)
@@ -130,7 +133,8 @@ def _comparison(comparison: _Comparison, root: pathlib.Path, say: Callable[[str]
     made = ", ".join(f"{commit} ({count} runs)" for commit, count in commits.items())
     hyper = section_of(folder, "hyper", Hyper)
     try:
-        claims = judge(runs, hyper.human.tolerance)
+        bounds = (hyper.boundary_low, hyper.boundary_high)
+        claims = judge(runs, tolerance_in(folder), bounds)
     except ValueError as error:
         return f"{title}\nUnder way: {error}.\n"
     steps = sum(run.info["env_steps"] for of in runs.values() for run in of) / 1e6
@@ -202,7 +206,7 @@ def _ablations(folder: pathlib.Path, say: Callable[[str], None]) -> str:
     store = Store(folder / "runs.csv")
     if not store.path.exists():
         return f"{title}\nNot run yet.\n"
-    parts = [title, *_starts(AblationOptions(name="all"), store)]
+    parts = [title, _BASE, *_starts(AblationOptions(name="all"), store)]
     for name in ABLATIONS:
         budget = _BUDGETS.get(name, {})
         text, failures = write_ablation(name, AblationOptions(name, **budget), store)
@@ -252,5 +256,5 @@ def _starts(options: AblationOptions, store: Store) -> list[str]:
     )
     if {len(runs) for runs in (*fixed.values(), *learned.values())} != {options.seeds}:
         return []
-    default = next(s.label for s in ABLATIONS[_STARTS].settings if not s.changes)
-    return [_claims(judge_starts(fixed, learned, default, Hyper().human.tolerance))]
+    base = next(s.label for s in ABLATIONS[_STARTS].settings if not s.changes)
+    return [_claims(judge_starts(fixed, learned, base, Hyper().human.tolerance))]

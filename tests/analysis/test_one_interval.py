@@ -42,7 +42,7 @@ def test_in_all_tables_and_figures(name):
     runs = _runs(folder)
     told = _rows((folder.path / "summary.md").read_text())
     means = _rows((folder.path / "summary.md").read_text().split("## Mean over seeds")[1])
-    compared = ComparedRuns(runs, 0.45)
+    compared = ComparedRuns(runs, 0.45, (0.05, 1.5))
     skill = claims_on_skill.skill(compared).measured
     sure = claims_on_skill.improvement(compared).measured
     figure = draw_tests(load(folder))

@@ -56,12 +56,15 @@ def _run(method, seed, rises_at, test_return, assisted=0.0, end=0.45, interventi
     )
 
 
+_BOUNDS = (0.05, 1.5)
+
+
 def _judge(srl, fix, ac):
     runs = {"srl": srl, "hitl-fix": fix, "hitl-ac": ac}
     made = {
         m: [_run(m, seed, **kwargs) for seed, kwargs in enumerate(of)] for m, of in runs.items()
     }
-    return {claim.name: claim for claim in judge(made, tolerance=0.45)}
+    return {claim.name: claim for claim in judge(made, 0.45, _BOUNDS)}
 
 
 def test_all_claims_can_hold():
@@ -106,7 +109,10 @@ def test_skill_over_training_is_over_equal_terrains():
     assert returns.tolist() == [10.0, 250.0, 300.0]
     runs = [dataclasses.replace(run, key=RunKey("hitl-ac", seed)) for seed in range(5)]
     compared = dict.fromkeys(("srl", "hitl-fix", "hitl-ac"), runs)
-    [claim] = [claim for claim in judge(compared, 0.45) if claim.name == "Skill over training"]
+    claims = judge(compared, 0.45, _BOUNDS)
+    [claim] = [claim for claim in claims if claim.name == "Skill over training"]
+        claim for claim in judge(compared, 0.45, _BOUNDS) if claim.name == "Skill over training"
+    ]
     assert "episode 400: HITL-AC 250 [250, 250]" in claim.measured
     assert "the same 1 test episodes" in claim.aim
 
@@ -152,29 +158,23 @@ def _starts(low, high):
             }
             for seed in range(5)
         ]
-        for label, (value, work) in {"0.5": low, "1 (default)": high}.items()
+        for label, (value, work) in {"0.5": low, "1 (base)": high}.items()
     }
 
 
 def test_claims_about_tau_0():
     fixed = _starts((100.0, 200.0), (250.0, 100.0))
-    claims = judge_starts(
-        fixed, _starts((300.0, 50.0), (290.0, 50.0)), default="0.5", tolerance=0.45
-    )
+    claims = judge_starts(fixed, _starts((300.0, 50.0), (290.0, 50.0)), base="0.5", tolerance=0.45)
     assert [claim.verdict for claim in claims] == [HOLDS] * 3
-    assert "from 0.5: +200 [+200, +200]; from 1 (default): +40 [+40, +40]" in claims[0].measured
-    assert claims[1].measured == "+50 [+50, +50] against τ_0 = 1 (default)"
+    assert "from 0.5: +200 [+200, +200]; from 1 (base): +40 [+40, +40]" in claims[0].measured
+    assert claims[1].measured == "+50 [+50, +50] against τ_0 = 1 (base)"
     # 50 / 0.5 / 302 and 100 / 0.5 / 252
     assert claims[2].measured.startswith(
-        "0.33 [0.33, 0.33] against 0.79 [0.79, 0.80] at τ_0 = 1 (default); fewer in 100 %"
+        "0.33 [0.33, 0.33] against 0.79 [0.79, 0.80] at τ_0 = 1 (base); fewer in 100 %"
     )
-    worse = judge_starts(
-        fixed, _starts((150.0, 300.0), (150.0, 300.0)), default="0.5", tolerance=0.45
-    )
+    worse = judge_starts(fixed, _starts((150.0, 300.0), (150.0, 300.0)), base="0.5", tolerance=0.45)
     assert [claim.verdict for claim in worse] == [HOLDS_NOT] * 3
-    hopeless = judge_starts(
-        fixed, _starts((-90.0, 1.0), (-90.0, 1.0)), default="0.5", tolerance=0.45
-    )
+    hopeless = judge_starts(fixed, _starts((-90.0, 1.0), (-90.0, 1.0)), base="0.5", tolerance=0.45)
     assert hopeless[2].measured.startswith("inf [inf, inf] against 0.79")
     assert hopeless[2].verdict == HOLDS_NOT
 
@@ -182,16 +182,39 @@ def test_claims_about_tau_0():
 def test_only_seeds_of_all_methods_count():
     runs = {m: [_run(m, seed, 300, 200.0) for seed in range(5)] for m in ("srl", "hitl-fix")}
     with pytest.raises(ValueError, match="0 seeds done in all methods, of at least 5"):
-        judge(runs, 0.45)
+        judge(runs, 0.45, _BOUNDS)
     runs["hitl-ac"] = [_run("hitl-ac", seed, 300, 200.0) for seed in range(1, 6)]
     with pytest.raises(ValueError, match="4 seeds done in all methods"):
-        judge(runs, 0.45)
+        judge(runs, 0.45, _BOUNDS)
 
 
 def test_a_boundary_that_never_settles_is_said_to():
     ac = [{"rises_at": 300, "test_return": 310.0, "end": 0.49}] * 5
     claims = _judge([{"rises_at": 300, "test_return": 200.0}] * 5, ac, ac)
     assert "from episode never on" in claims["The boundary (Figure 6)"].measured
+
+
+@pytest.mark.parametrize(
+    ("means", "verdict", "told"),
+    [
+        ([0.3] * 9 + [0.05], HOLDS, "9 of 10 seeds, from 0.050 to 0.300"),
+        ([0.3] * 8 + [1.48, 0.05], HOLDS_NOT, "8 of 10 seeds, from 0.050 to 1.480"),
+        ([0.3] * 9 + [np.nan], UNDECIDED, "9 of 10 seeds"),
+    ],
+)
+def test_where_the_human_goes_by_no_angle_the_boundary_must_run_to_neither_bound(
+    means, verdict, told
+):
+    made = {}
+    for method in ("srl", "hitl-fix", "hitl-ac"):
+        made[method] = [_run(method, seed, 300, 200.0) for seed in range(10)]
+        for run, mean in zip(made[method], means, strict=True):
+            run.episodes["mean_boundary"][:-20] = 1.5
+            run.episodes["mean_boundary"][-20:] = mean
+            run.episodes["mean_boundary"][-1] = np.nan  # An episode without the human.
+    [claim] = [claim for claim in judge(made, None, _BOUNDS) if "Figure 6" in claim.name]
+    assert claim.verdict == verdict
+    assert claim.measured.startswith(told)
 
 
 def test_what_is_committed_is_what_the_data_give(tmp_path, monkeypatch):
@@ -228,7 +251,7 @@ def test_a_claim_about_what_is_no_number_is_not_decided(who):
     lost.episodes["return"][100:] = np.nan
     lost.episodes["interventions"] = np.full(1000, np.nan)
     lost.episodes["final_boundary"][-1] = np.nan
-    claims = {claim.name: claim.verdict for claim in judge(made, tolerance=0.45)}
+    claims = {claim.name: claim.verdict for claim in judge(made, 0.45, _BOUNDS)}
     concerned = ["Training speed (Figure 4)", "Skill without the human (Figure 5)"]
     concerned += ["Training speed over environment steps"] * (who != "fix")
     if who == "ac":
@@ -239,14 +262,14 @@ def test_a_claim_about_what_is_no_number_is_not_decided(who):
 
 def test_where_tau_0_changes_nothing_the_difference_is_called_noise():
     fixed, learned = _starts((40.0, 9.0), (250.0, 9.0)), _starts((140.0, 9.0), (260.0, 9.0))
-    [claim, *_] = judge_starts(fixed, learned, default="1 (default)", tolerance=0.5)
+    [claim, *_] = judge_starts(fixed, learned, base="1 (base)", tolerance=0.5)
     assert claim.measured.endswith(
         "From τ_0 = 0.5, at most the human's tolerance of 0.5 rad, neither method's interventions "
         "depend on τ: its seeds draw other random numbers, and the difference there is what the "
         "means of 5 seeds vary by"
     )
     assert claim.seeds == 5
-    [claim, *_] = judge_starts(fixed, learned, default="1 (default)", tolerance=0.45)
+    [claim, *_] = judge_starts(fixed, learned, base="1 (base)", tolerance=0.45)
     assert "tolerance" not in claim.measured
 
 
@@ -258,7 +281,7 @@ def test_claims_about_tau_0_without_a_number_are_not_decided(measure, whose):
         "learned": _starts((300.0, 50.0), (290.0, 50.0)),
     }
     made[whose]["0.5"][3][measure] = None
-    made[whose]["1 (default)"][3][measure] = float("nan")
-    verdicts = [claim.verdict for claim in judge_starts(**made, default="0.5", tolerance=0.45)]
+    made[whose]["1 (base)"][3][measure] = float("nan")
+    verdicts = [claim.verdict for claim in judge_starts(**made, base="0.5", tolerance=0.45)]
     assert verdicts[2] == UNDECIDED
     assert verdicts[:2] == [UNDECIDED if measure == "test_return_mean" else HOLDS] * 2

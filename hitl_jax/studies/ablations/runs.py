@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hitl_jax.analysis.claims_on_training import mean_boundary
 from hitl_jax.analysis.summary import summarise_run
 from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.envs import require_backend
@@ -23,10 +24,6 @@ from hitl_jax.training.run_spec import RunSpec
 
 _SLOTS = 32
 _BACKEND = "lean"
-
-_LAST = 20
-"""Training episodes, of which the mean boundary is taken: that of one state says little where the
-boundary is a function of the state."""
 
 
 class Group(NamedTuple):
@@ -94,7 +91,7 @@ def make_runs(
             store.add(run, row | {"commit": short_commit(tested.commit)})
             display.finish(tested.finished.run)
             display.say(
-                f"finished {run.setting or 'defaults'}, {run.method} seed {run.seed}: "
+                f"finished {run.setting or 'base'}, {run.method} seed {run.seed}: "
                 f"test {row['test_return_mean']:.1f}"
             )
 
@@ -135,8 +132,8 @@ def summary_of(tested: Tested) -> Row:
     episodes = to_table(to_columns(run.all_episodes(), EPISODE_COLUMNS), EPISODE_COLUMNS)
     tests = to_table(to_columns(tested.tests, TEST_COLUMNS), TEST_COLUMNS)
     info = {"wall_seconds": tested.wall_seconds, "diverged": run.diverged}
-    row = summarise_run(Run(run.spec.key, info, episodes, tests))
-    boundary = episodes["mean_boundary"][-_LAST:]
-    boundary = boundary[~np.isnan(boundary)]
-    row["settled_boundary"] = boundary.mean().item() if boundary.size else None
+    trained = Run(run.spec.key, info, episodes, tests)
+    row = summarise_run(trained)
+    settled = mean_boundary(trained)
+    row["settled_boundary"] = None if np.isnan(settled) else settled
     return {name: value for name, value in row.items() if name not in ("method", "seed")}

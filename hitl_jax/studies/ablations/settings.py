@@ -100,12 +100,12 @@ def _without(part: str) -> Setting:
 ABLATIONS: dict[str, Ablation] = {
     "methods": Ablation(
         "The three methods",
-        (Setting("defaults", methods=tuple(Method)),),
+        (Setting("base", methods=tuple(Method)),),
     ),
     "intervention": Ablation(
         "What an intervention does",
         (
-            Setting("reset, terminal (default)"),
+            Setting("reset, terminal (base)"),
             Setting("reset, truncated", {"human_reset_terminates": False}),
             Setting("takeover", _TAKEOVER),
             Setting("takeover, noisy hands", _TAKEOVER | {"human_action_noise": 0.3}),
@@ -117,7 +117,7 @@ ABLATIONS: dict[str, Ablation] = {
         "Standard deviation of the exploration noise",
         (
             *_each("exploration_noise", (0.1, 0.2), tuple(Method)),
-            Setting("0.3 (default)", methods=tuple(Method)),
+            Setting("0.3 (base)", methods=tuple(Method)),
         ),
         is_number=True,
     ),
@@ -126,7 +126,7 @@ ABLATIONS: dict[str, Ablation] = {
         (
             Setting("0", {"feedback": 0.0}),
             Setting("-5", {"feedback": -5.0}),
-            Setting("-20 (default)"),
+            Setting("-20 (base)"),
             Setting("-100", {"feedback": -100.0}),
             Setting("-20, takeover, each step", _TAKEOVER),
             Setting("-20, takeover, once", _TAKEOVER | {"feedback_schedule": "episode"}),
@@ -135,7 +135,7 @@ ABLATIONS: dict[str, Ablation] = {
     "source": Ablation(
         "How the network and the Δ rule make the boundary",
         (
-            Setting("rule (default)"),
+            Setting("rule (base)"),
             Setting("network", _NETWORK),
             Setting("network, ρ = 0", _NETWORK | {"alarm_reward": 0.0}),
             Setting("network, ρ = 10", _NETWORK | {"alarm_reward": 10.0}),
@@ -147,7 +147,7 @@ ABLATIONS: dict[str, Ablation] = {
         "The steps of the boundary [rad]",
         (
             Setting("Δ = 0.0001", {"delta_minus": 1e-4, "delta_plus": 1e-4}),
-            Setting("Δ = 0.001 (default)"),
+            Setting("Δ = 0.001 (base)"),
             Setting("Δ = 0.01", {"delta_minus": 1e-2, "delta_plus": 1e-2}),
             Setting("Δ⁻ = 0.003, Δ⁺ = 0.001", {"delta_minus": 3e-3}),
             Setting("Δ⁻ = 0.001, Δ⁺ = 0.003", {"delta_plus": 3e-3}),
@@ -157,7 +157,7 @@ ABLATIONS: dict[str, Ablation] = {
         "τ_0 [rad]",
         (
             *_each("initial_boundary", (0.2, 0.45), _HUMAN),
-            Setting("0.7 (default)", methods=_HUMAN),
+            Setting("0.7 (base)", methods=_HUMAN),
             *_each("initial_boundary", (1.0, 1.4), _HUMAN),
         ),
         is_number=True,
@@ -165,7 +165,7 @@ ABLATIONS: dict[str, Ablation] = {
     "indicator": Ablation(
         "The safety indicator",
         (
-            Setting("hull angle (default)"),
+            Setting("hull angle (base)"),
             Setting("weighted: the angle in 0.1 s", {"indicator": "weighted"}),
             Setting(
                 "weighted; the human looks 0.1 s ahead",
@@ -177,7 +177,7 @@ ABLATIONS: dict[str, Ablation] = {
         "The human's threshold of danger [rad]",
         (
             *_each("tolerance", (0.3,), _AC),
-            Setting("0.45 (default)"),
+            Setting("0.45 (base)"),
             *_each("tolerance", (0.6, 0.8), _AC),
         ),
         is_number=True,
@@ -185,7 +185,7 @@ ABLATIONS: dict[str, Ablation] = {
     "human-delay": Ablation(
         "The human's reaction delay [steps of 0.02 s]",
         (
-            Setting("0 (default)", methods=_HUMAN),
+            Setting("0 (base)", methods=_HUMAN),
             *_each("delay", (10, 25), _HUMAN),
         ),
         is_number=True,
@@ -193,7 +193,7 @@ ABLATIONS: dict[str, Ablation] = {
     "human-mistakes": Ablation(
         "Share of wrong judgements",
         (
-            Setting("0 (default)", methods=_HUMAN),
+            Setting("0 (base)", methods=_HUMAN),
             *_each("mistake_rate", (0.1, 0.3), _HUMAN),
         ),
         is_number=True,
@@ -201,7 +201,7 @@ ABLATIONS: dict[str, Ablation] = {
     "human-attention": Ablation(
         "Lapses and limited attention",
         (
-            Setting("always there (default)", methods=_HUMAN),
+            Setting("always there (base)", methods=_HUMAN),
             Setting("misses 30 % of the steps", {"lapse_rate": 0.3}, _HUMAN),
             Setting("at most 100 interventions", {"max_interventions": 100}, _HUMAN),
             Setting("a rest of 500 steps", {"refractory_steps": 500}, _HUMAN),
@@ -210,7 +210,7 @@ ABLATIONS: dict[str, Ablation] = {
     "arbiter": Ablation(
         "Other arbiters; quantile, PID and random are given the rate of HITL-AC",
         (
-            Setting("Δ rule (default)"),
+            Setting("Δ rule (base)"),
             Setting("fixed", methods=(Method.HITL_FIX,)),
             Setting("quantile", {"boundary_source": "quantile", "target_rate": _BUDGET}),
             Setting("PID", {"boundary_source": "pid", "target_rate": _BUDGET}),

@@ -19,21 +19,21 @@ Starts = dict[str, list[Row]]
 """Runs of one method by the label of their τ_0, which begins with the number."""
 
 
-def judge_starts(fixed: Starts, learned: Starts, default: str, tolerance: float) -> list[Claim]:
+def judge_starts(fixed: Starts, learned: Starts, base: str, tolerance: float) -> list[Claim]:
     """Three claims, from the same seeds of both methods.
 
     Args:
         fixed: HITL-FIX's runs.
         learned: HITL-AC's, of the same τ_0.
-        default: the label of the τ_0 from which HITL-AC starts when nobody chooses.
+        base: the label of the base's τ_0.
         tolerance: hull angle from which the human sees danger [rad].
     """
     means = {label: _mean(runs, _RETURN) for label, runs in fixed.items()}
     best = max(means, key=lambda label: (np.isnan(means[label]), means[label]))
     return [
         _from_anywhere(fixed, learned, tolerance),
-        _no_worse_than_the_best(fixed[best], learned[default], best),
-        _less_work(fixed[best], learned[default], best),
+        _no_worse_than_the_best(fixed[best], learned[base], best),
+        _less_work(fixed[best], learned[base], best),
     ]
 
 
@@ -63,7 +63,7 @@ def _no_worse_than_the_best(fixed: list[Row], learned: list[Row], best: str) -> 
     return Claim(
         "It is no worse than the best fixed one",
         "–",
-        f"mean autonomous test return of HITL-AC, from its default τ_0, not {MARGIN:g} below that "
+        f"mean autonomous test return of HITL-AC, from the base's τ_0, not {MARGIN:g} below that "
         "of HITL-FIX at the best τ_0 of the table",
         f"{gain:+.0f} against τ_0 = {best}",
         of_sign(gain, -MARGIN),
@@ -88,7 +88,7 @@ def _less_work(fixed: list[Row], learned: list[Row], best: str) -> Claim:
 
 def _cost(runs: list[Row]) -> tuple[stats.Estimate, np.ndarray]:
     """Mean alarms over mean return, infinite without any return; and that of each resample."""
-    # Each confirmed alarm is an intervention; with the default, reset, there are no others.
+    # Each confirmed alarm is an intervention; with the base, reset, there are no others.
     alarms = _values(runs, "train_interventions") / _values(runs, "alarm_agreement")
     returns = _values(runs, _RETURN)
 
