@@ -1,5 +1,7 @@
 """The trained human: who has the controls when, and that both files are made and can be read."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -63,12 +65,15 @@ def test_both_files_are_made_and_read(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(trained_human, "CREW", crew)
     monkeypatch.setattr(trained_human, "HANDS_SEEDS", range(2))
     monkeypatch.setattr(trained_human, "_UPDATES", 100)
+    base = trained_human._BASE
+    small = dataclasses.replace(base.agent, hidden_sizes=(16, 16), batch_size=16)
+    monkeypatch.setattr(trained_human, "_BASE", base._replace(agent=small))
     words = ["--crew-episodes", "16", "--episodes", "2", "--test-episodes", "1"]
     out = tmp_path / "hands"
     assert run_main("human", command.main, [*words, "--out", str(out)]) == 0
     assert capsys.readouterr().out.count("with the crew") == 2
     actor = load_actor(out / FILE, 24, 4)
-    assert hidden_sizes(actor) == (128, 128, 4)
+    assert hidden_sizes(actor) == (16, 16, 4)
     with np.load(out / experience.FILE) as arrays:
         assert arrays["network/params/Dense_2/kernel"].shape == (64, 1)
 
