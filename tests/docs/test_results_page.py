@@ -6,7 +6,15 @@ import pytest
 from pages import ROOT, section
 
 _ROW = re.compile(r"^\| ([^|]*\[95 %\][^|]*) \| (.*) \|$", flags=re.MULTILINE)
-_KEPT = ("ten_seeds", "ten_seeds_ddpg", "one_hour", "one_hour_xeon", "one_hour_newest", "bfloat16")
+_KEPT = (
+    "full",
+    "ten_seeds",
+    "ten_seeds_ddpg",
+    "one_hour",
+    "one_hour_xeon",
+    "one_hour_newest",
+    "bfloat16",
+)
 
 
 @pytest.mark.parametrize("folder", [*_KEPT, "jax"])
