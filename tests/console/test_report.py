@@ -111,8 +111,6 @@ def test_skill_over_training_is_over_equal_terrains():
     compared = dict.fromkeys(("srl", "hitl-fix", "hitl-ac"), runs)
     claims = judge(compared, 0.45, _BOUNDS)
     [claim] = [claim for claim in claims if claim.name == "Skill over training"]
-        claim for claim in judge(compared, 0.45, _BOUNDS) if claim.name == "Skill over training"
-    ]
     assert "episode 400: HITL-AC 250 [250, 250]" in claim.measured
     assert "the same 1 test episodes" in claim.aim
 
