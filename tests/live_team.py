@@ -11,10 +11,11 @@ import urllib.error
 import urllib.request
 
 import numpy as np
+from paper_team import paper_config, paper_hyper
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import Method, hyper_for
 from hitl_jax.live import journal, person
 from hitl_jax.live.pacing import PacedSession
 from hitl_jax.live.page_updates import PageOptions
@@ -26,14 +27,15 @@ from hitl_jax.training.run_spec import LoopConfig
 TOKEN = "a-token"
 
 HYPER = hyper_for(
-    Method.HITL_AC, Hyper(warmup_steps=64, initial_boundary=0.1, delta_minus=0.01, delta_plus=0.01)
+    Method.HITL_AC,
+    paper_hyper(warmup_steps=64, initial_boundary=0.1, delta_minus=0.01, delta_plus=0.01),
 )
 
 
 @functools.cache
 def agent_of(intervention, with_person=True):
     """The same object each time, so that what it compiles is shared."""
-    config = AgentConfig(
+    config = paper_config(
         learner="td3",
         hidden_sizes=(16,),
         batch_size=16,
