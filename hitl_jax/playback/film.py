@@ -234,8 +234,8 @@ def _to_gif(images: Iterable[Image.Image]) -> bytes:
 
 
 def _reduced(image: Image.Image) -> Image.Image:
-    """In 64 colours of its own."""
-    return image.quantize(64, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    """In 64 colours of its own; rare ones too, such as that of who is in control."""
+    return image.quantize(64, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
 
 
 def _to_mp4(images: Iterable[Image.Image]) -> bytes:
