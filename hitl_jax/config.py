@@ -196,8 +196,9 @@ class Hyper:
         boundary_critic_learning_rate: α^ω.
         risk_learning_rate: Adam's step size for the risk critic.
         alarm_reward: ρ, the size of r'_t.
-        feedback: r(s, a^h), negative for a punishment. Given at every step of an intervention
-            unless the schedule says otherwise: a takeover of ten steps pays it ten times.
+        feedback: r(s, a^h), negative for a punishment. Given once, at the first step of an
+            intervention, unless the schedule says otherwise: with `step` a takeover of fifty steps
+            pays it fifty times.
         takeover_steps: least number of steps that a takeover lasts.
         release_share: with hysteresis, the share of the boundary below which a takeover ends.
         human_action_noise: standard deviation of the noise on a^h.

@@ -3,11 +3,13 @@
 import math
 import numbers
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from hitl_jax.errors import InvalidValue
+
+T = TypeVar("T")
 
 MOST = 2**31 - 1
 """The greatest count, of episodes or steps for example: the greatest int32."""
@@ -91,20 +93,25 @@ def one_of(name: str, value: str, allowed: Sequence[str]) -> None:
 
 
 def require_default(
-    config: Any, names: Iterable[str], why: str, prefix: str = "", mentions: tuple[str, ...] = ()
+    config: T,
+    usual: T,
+    names: Iterable[str],
+    why: str,
+    prefix: str = "",
+    mentions: tuple[str, ...] = (),
 ) -> None:
     """Raises InvalidValue where an option is given that nobody would look at.
 
     Args:
-        config: a dataclass whose fields have defaults.
+        config: a dataclass.
+        usual: the same where no option is given.
         names: of those of its fields that would be ignored.
         why: they have no meaning.
         prefix: before the fields' names, in the message.
         mentions: names of other values that stand in `why`.
     """
-    default = type(config)()
     for name in names:
-        if getattr(config, name) != getattr(default, name):
+        if getattr(config, name) != getattr(usual, name):
             raise InvalidValue(prefix + name, ..., why, mentions)
 
 

@@ -153,8 +153,8 @@ def scripted_walker() -> ActionSource:
         del key
         if observation.shape != (WALKER_OBSERVATION,):
             raise ValueError(
-                f"observation of shape {observation.shape}: the scripted walker, who acts for "
-                f"the human by default, sees {WALKER_OBSERVATION}; give `make_agent` another source"
+                f"observation of shape {observation.shape}: the scripted walker sees "
+                f"{WALKER_OBSERVATION}; give `make_agent` another source"
             )
         legs = _swap(state.swapped, observation[_LEGS].reshape(2, 5))
         after, hip_targets, knee_targets = _advance(state, observation[2], *legs)

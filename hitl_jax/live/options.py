@@ -8,7 +8,7 @@ import tyro
 from hitl_jax.choices.checks import one_of, require, require_default
 from hitl_jax.config import AgentConfig, Hyper, Method, validate_hyper
 from hitl_jax.errors import InvalidValue
-from hitl_jax.sweep.changes import changed
+from hitl_jax.sweep.changes import Parts, changed
 from hitl_jax.sweep.options import (
     require_hands,
     require_no_simulated_judge,
@@ -24,10 +24,7 @@ _HANDS = ("human_actions", "release")
 _CONTROL = ("takeover_steps", "release_share")
 """What the simulated human does with the controls, and until when."""
 
-_LIVE = changed(
-    {name: PAPER[name] for name in PAPER if name not in ("learner", "danger", *_HANDS, *_CONTROL)}
-    | {"intervention": "takeover"}
-)
+_LIVE = changed(PAPER | {"learner": AgentConfig().learner, "intervention": "takeover"})
 """A person looks at one boundary, which line 8 moves, and may take the controls."""
 
 
@@ -95,7 +92,7 @@ class LiveOptions:
         if self.with_person:
             self._require_nothing_simulated()
         else:
-            require_hands(self.agent, self.human_policy)
+            require_hands(self.agent, _LIVE.agent, self.human_policy)
             if self.ask:
                 raise InvalidValue(
                     "ask", True, "there is nobody to ask with mode watch", mentions=("mode",)
@@ -108,9 +105,10 @@ class LiveOptions:
             "is of the simulated human; where you are the human (mode train, test) it has no "
             "meaning"
         )
-        require_no_simulated_judge(self.agent, self.hyper, why, mentions=("mode",))
-        for part, names in ((self.agent, _HANDS), (self.hyper, _CONTROL)):
-            require_default(part, names, why, mentions=("mode",))
+        given = Parts(self.agent, self.loop, self.hyper, self.human_policy)
+        require_no_simulated_judge(given, _LIVE, why, mentions=("mode",))
+        require_default(self.agent, _LIVE.agent, _HANDS, why, mentions=("mode",))
+        require_default(self.hyper, _LIVE.hyper, _CONTROL, why, mentions=("mode",))
 
     @property
     def with_person(self) -> bool:

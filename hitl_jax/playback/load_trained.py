@@ -31,7 +31,7 @@ def agent_of(folder: ResultsFolder, human_policy: str | None = None) -> Agent:
 
     Args:
         folder: the results.
-        human_policy: the `params.npz` that gave the human's actions; None is the scripted walker.
+        human_policy: the `params.npz` that gave the human's actions; None: as `human_actions` says.
 
     Raises:
         ResultsError: if the folder was not written by this program, or names code, the walkers'
@@ -52,7 +52,7 @@ def require_same_human(folder: ResultsFolder, human_policy: str | None) -> None:
     """
     asked, has = policy_digest(human_policy), folder.load_config().get("human_policy")
     if asked != has:
-        made = "the scripted walker" if has is None else f"a file of {has}"
+        made = "the hands that its human_actions names" if has is None else f"a file of {has}"
         raise InvalidValue("human_policy", human_policy, f"{folder.path} was made with {made}")
 
 

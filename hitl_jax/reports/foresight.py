@@ -1,7 +1,7 @@
 """The report's section on walkers whose human foresees falls: warnings, boundary and help."""
 
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import numpy as np
 
@@ -34,11 +34,12 @@ _FIGURES = {
 }
 
 
-def foresight(root: pathlib.Path, say: Callable[[str], None]) -> str:
+def foresight(root: pathlib.Path, say: Callable[[str], None], shown: Collection[str] = ()) -> str:
     """The section, of each of `FOLDERS` that is there.
 
     Args:
         root: the folder of results.
+        shown: folders whose summary and figures 4 to 7 another section has.
         say: is told which figures could not be drawn, and why.
 
     Raises:
@@ -47,16 +48,20 @@ def foresight(root: pathlib.Path, say: Callable[[str], None]) -> str:
     parts = ["## A human who foresees falls, and a boundary that π_θ gives\n"]
     for name in FOLDERS:
         if (root / name).exists():
-            parts.append(_of(ResultsFolder(root / name), say))
+            parts.append(_of(ResultsFolder(root / name), say, name in shown))
     return "\n".join(parts if len(parts) > 1 else [*parts, "Not run yet.\n"])
 
 
-def _of(folder: ResultsFolder, say: Callable[[str], None]) -> str:
+def _of(folder: ResultsFolder, say: Callable[[str], None], shown: bool) -> str:
     if lacks := [name for name in warning_figures.TABLES if not (folder.path / name).exists()]:
         return f"`{folder.path.name}`: under way, without {' and '.join(lacks)} so far.\n"
     helped = (folder.path / assistance_figure.DATA).exists()
-    write_summary(folder)
-    drawn = draw_all(folder).with_(warning_figures.draw(folder))
+    drawn, figures = warning_figures.draw(folder), list(_FIGURES)
+    if shown:
+        figures.remove("figure6_boundary")
+    else:
+        write_summary(folder)
+        drawn = draw_all(folder).with_(drawn)
     if helped:
         drawn = drawn.with_(assistance_figure.draw(folder))
     for failure in drawn.failures:
@@ -73,19 +78,19 @@ def _of(folder: ResultsFolder, say: Callable[[str], None]) -> str:
     warned, precise, reliable = (
         only(rows, method=_METHOD) for rows in (warnings, precision, reliability)
     )
-    figures = "".join(
-        f"![{text}]({folder.path.name}/figures/{stem}.png)\n"
-        for stem, text in _FIGURES.items()
+    pictures = "".join(
+        f"![{_FIGURES[stem]}]({folder.path.name}/figures/{stem}.png)\n"
+        for stem in figures
         if (folder.path / "figures" / f"{stem}.png").exists()
     )
-    told = [f"Help is not measured yet: without {assistance_figure.DATA}.\n"]
+    told = [f"Help was not measured (no {assistance_figure.DATA}).\n"]
     if helped:
         told = [_help(assistance_figure.load(folder.path / assistance_figure.DATA))]
     if len(warned["seed"]) and len(precise["seed"]):
         told += [_warnings(warned), _precision(precise)]
     if len(reliable["seed"]):
         told.append(_reliability(reliable))
-    return "\n".join([head, *told, figures])
+    return "\n".join([head, *told, pictures])
 
 
 def _help(rows: Rows) -> str:

@@ -28,12 +28,13 @@ from hitl_jax.results.config_diff import flatten
 from hitl_jax.results.folder import ResultsFolder, Run
 from hitl_jax.results.provenance import short_commit
 from hitl_jax.studies.ablations.options import AblationOptions
-from hitl_jax.studies.ablations.settings import ABLATIONS
+from hitl_jax.studies.ablations.settings import ABLATIONS, BASE
 from hitl_jax.studies.ablations.starts import judge_starts
 from hitl_jax.studies.ablations.store import Store
 from hitl_jax.studies.ablations.write import lines_of, write_ablation
 from hitl_jax.studies.tuning.options import TuningOptions
 from hitl_jax.studies.tuning.table import table as table_of_tuning
+from hitl_jax.sweep.changes import changed
 
 _STARTS = "initial-boundary"
 _NETWORK = "network"
@@ -103,7 +104,7 @@ def write_report(root: pathlib.Path, say: Callable[[str], None]) -> pathlib.Path
     parts = [_HEAD]
     for comparison in _COMPARISONS:
         parts.append(_comparison(comparison, root, say))
-    parts += [foresight(root, say)]
+    parts += [foresight(root, say, [comparison.folder for comparison in _COMPARISONS])]
     parts += [_ablations(root / "ablations", say), _map(root / _NETWORK, say)]
     parts += [_tuning(root / "tuning"), _settings(root)]
     path = root / "REPORT.md"
@@ -257,4 +258,4 @@ def _starts(options: AblationOptions, store: Store) -> list[str]:
     if {len(runs) for runs in (*fixed.values(), *learned.values())} != {options.seeds}:
         return []
     base = next(s.label for s in ABLATIONS[_STARTS].settings if not s.changes)
-    return [_claims(judge_starts(fixed, learned, base, Hyper().human.tolerance))]
+    return [_claims(judge_starts(fixed, learned, base, changed(BASE).hyper.human.tolerance))]

@@ -21,8 +21,8 @@ class Parts(NamedTuple):
         agent: static choices.
         loop: how much is played and learned.
         hyper: traced hyperparameters.
-        human_policy: a `params.npz` whose actor gives a^h, from this repository's root on; None for
-            the scripted walker.
+        human_policy: a `params.npz` whose actor gives a^h, from this repository's root on; None:
+            as `human_actions` says.
     """
 
     agent: AgentConfig

@@ -26,7 +26,7 @@ from hitl_jax.evaluation.trials import MOST_TEST_EPISODES, milestones
 from hitl_jax.learner.frame import Layout
 from hitl_jax.sweep import recorded_human, shards
 from hitl_jax.sweep.autosave import SAVE_SECONDS
-from hitl_jax.sweep.changes import changed
+from hitl_jax.sweep.changes import Parts, changed
 from hitl_jax.sweep.launchers import LaunchOptions
 from hitl_jax.sweep.presets import PRESETS, Preset
 from hitl_jax.sweep.shards import Shard
@@ -169,11 +169,12 @@ class SweepOptions:
             runs = len(self.methods) * scale.seeds
             raise InvalidValue("shard", self.shard, f"has none of the {runs} runs")
         validate_hyper(self.hyper)
-        require_hands(self.agent, self.human_policy)
+        usual = self.of_preset(self.preset)
+        require_hands(self.agent, usual.agent, self.human_policy)
         if self.human != recorded_human.SIMULATED:
             require_no_simulated_judge(
-                self.agent,
-                self.hyper,
+                Parts(self.agent, self.loop, self.hyper, self.human_policy),
+                Parts(usual.agent, usual.loop, usual.hyper, usual.human_policy),
                 "has no meaning beside human recorded:FILE, whose judgements are played back",
                 mentions=("human",),
             )
@@ -183,34 +184,40 @@ class SweepOptions:
         return self
 
 
-def require_hands(agent: AgentConfig, human_policy: str | None) -> None:
+def require_hands(agent: AgentConfig, usual: AgentConfig, human_policy: str | None) -> None:
     """Refuses two sources of the human's actions.
+
+    Args:
+        agent: the team.
+        usual: the team where no option is given.
+        human_policy: the file of the other source.
 
     Raises:
         InvalidValue: one line with the name and why.
     """
     if human_policy is not None:
         why = "has no meaning beside human_policy, whose actions the human takes"
-        require_default(agent, ("human_actions",), why, mentions=("human_policy",))
+        require_default(agent, usual, ("human_actions",), why, mentions=("human_policy",))
 
 
 def require_no_simulated_judge(
-    agent: AgentConfig, hyper: Hyper, why: str, mentions: tuple[str, ...]
+    given: Parts, usual: Parts, why: str, mentions: tuple[str, ...]
 ) -> None:
     """Refuses options of the simulated human's judgement, where somebody else judges.
 
     Args:
-        agent: the team.
-        hyper: its numbers.
+        given: the team and its numbers.
+        usual: the same where no option is given.
         why: the options have no meaning.
         mentions: names of other values that stand in `why`.
 
     Raises:
         InvalidValue: one line with the name and why.
     """
-    require_default(agent, ("danger", "human_parts"), why, mentions=mentions)
-    numbers = [field.name for field in dataclasses.fields(hyper.human)]
-    require_default(hyper.human, numbers, why, "human.", mentions)
+    require_default(given.agent, usual.agent, ("danger", "human_parts"), why, mentions=mentions)
+    human = given.hyper.human
+    numbers = [field.name for field in dataclasses.fields(human)]
+    require_default(human, usual.hyper.human, numbers, why, "human.", mentions)
 
 
 def require_room(agent: AgentConfig, loop: LoopConfig, slots: int) -> None:

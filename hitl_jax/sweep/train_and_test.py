@@ -50,8 +50,8 @@ def make_team(
 
     Args:
         config: static choices.
-        human_policy: a `params.npz` whose actor gives the human's actions, or None for the
-            scripted walker.
+        human_policy: a `params.npz` whose actor gives the human's actions; None: as
+            `human_actions` says.
         judge: a human of one's own; None is the simulated one.
 
     Raises:

@@ -79,7 +79,7 @@ def test_what_lacks_is_said(folder):
     root = folder.path.parent
     (folder.path / assistance_figure.DATA).unlink()
     text = foresight(root, pytest.fail)
-    assert "Help is not measured yet: without assistance.csv." in text
+    assert "Help was not measured (no assistance.csv)." in text
     assert "| fall_risk | 0.90 [0.90, 0.90] |" in text
     (folder.path / warning_figures.PRECISION).unlink()
     assert "without precision.csv so far" in foresight(root, pytest.fail)

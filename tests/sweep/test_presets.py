@@ -5,6 +5,7 @@ import dataclasses
 import pytest
 
 from hitl_jax.console.cli import BadInput, checking_input, parse
+from hitl_jax.errors import InvalidValue
 from hitl_jax.sweep.changes import changed
 from hitl_jax.sweep.options import SweepOptions
 from hitl_jax.sweep.presets import PAPER, PRESETS
@@ -37,6 +38,18 @@ def test_what_is_given_goes_before_the_preset():
 @pytest.mark.parametrize("words", [["--preset=paper"], ["--preset", "quick", "--preset", "paper"]])
 def test_the_last_preset_counts_however_it_is_written(words):
     assert parse(SweepOptions, words) == SweepOptions.of_preset("paper")
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_what_a_preset_says_of_the_human_is_not_refused_beside_a_file(preset, tmp_path):
+    own = ["--preset", preset, "--human-policy", str(tmp_path / "params.npz")]
+    assert parse(SweepOptions, own).checked().preset == preset
+    recorded = ["--preset", preset, "--human", f"recorded:{tmp_path / 'human.json'}"]
+    assert parse(SweepOptions, recorded).checked().preset == preset
+    with pytest.raises(InvalidValue, match=r"^human_actions"):
+        parse(SweepOptions, [*own, "--human-actions", "still"]).checked()
+    with pytest.raises(InvalidValue, match=r"^danger"):
+        parse(SweepOptions, [*recorded, "--danger", "predictive"]).checked()
 
 
 def test_help_shows_the_preset_s_defaults(capsys):
