@@ -1,8 +1,10 @@
 """How a session begins: with networks from files, or where a journal says that it was."""
 
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
+
+import numpy as np
 
 from hitl_jax.config import Method, RunHyper, hyper_for
 from hitl_jax.errors import InvalidValue, ResultsError
@@ -15,8 +17,10 @@ from hitl_jax.live.session import Session
 from hitl_jax.live.setup import SessionSetup
 from hitl_jax.results.config_diff import changes, compared
 from hitl_jax.results.provenance import origin
+from hitl_jax.team import agent as agents
 from hitl_jax.team import checkpoint
 from hitl_jax.team.agent import Agent, make_agent, require_extra
+from hitl_jax.xla.threefry import make_key
 
 
 def setup_of(options: LiveOptions) -> SessionSetup:
@@ -57,11 +61,22 @@ def setup_of(options: LiveOptions) -> SessionSetup:
 def networks_from(path: str, agent: Agent, hyper: RunHyper) -> dict[str, Any]:
     """The networks that a session begins with.
 
+    A run of another boundary learner, such as a sweep's default, gives its task networks alone. The
+    boundary then begins as at the start of a run: `rule` executes neither learner's networks.
+
     Raises:
         InvalidValue: one line, if the file is not what it should be.
     """
     try:
-        networks = checkpoint.networks_of(agent, checkpoint.load(path))
+        arrays = checkpoint.load(path)
+        fresh = checkpoint.flatten(
+            agents.init(agent, make_key(0)), np.asarray(hyper.initial_boundary, np.float32)
+        )
+        has, needs = _boundary_shapes(arrays), _boundary_shapes(fresh)
+        if has and has != needs:
+            kept = {name: array for name, array in arrays.items() if name not in has}
+            arrays = kept | {name: fresh[name] for name in (*needs, "boundary")}
+        networks = checkpoint.networks_of(agent, arrays)
         boundary = float(networks["boundary"])
         low, high = float(hyper.boundary_low), float(hyper.boundary_high)
         if not low <= boundary <= high:
@@ -71,6 +86,15 @@ def networks_from(path: str, agent: Agent, hyper: RunHyper) -> dict[str, Any]:
     except ValueError as error:
         raise InvalidValue("start", path, str(error)) from error
     return networks
+
+
+def _boundary_shapes(arrays: Mapping[str, np.ndarray]) -> dict[str, tuple[int, ...]]:
+    """Of the boundary's networks, by name."""
+    return {
+        name: array.shape
+        for name, array in arrays.items()
+        if name.startswith(("boundary_actor/", "boundary_critic/"))
+    }
 
 
 def lines_of(

@@ -35,7 +35,9 @@ class LiveOptions:
     Attributes:
         mode: `train`, you are the human; `watch`, a simulated human is; `test`, a trained walker
             asks you for help where it crosses its boundary.
-        start: a run's `params.npz` to begin with (default: from scratch; `test` needs one).
+        start: a run's `params.npz` to begin with (default: from scratch; `test` needs one). The
+            boundary begins where that of the run ended, if line 8 moved it; else at
+            `initial_boundary`.
         method: `hitl-ac`, whose boundary is learned, or `hitl-fix`.
         seed: of the run.
         ask: whether the walker also stops and asks while it trains.

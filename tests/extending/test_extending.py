@@ -54,7 +54,18 @@ _HYPER = paper_hyper(
 def words():
     """The options of a sweep with one choice of each kind."""
     return [
-        *("--seeds", "1", "--methods", "hitl-ac", "--episodes", "4", "--test-episodes", "1"),
+        *(
+            "--preset",
+            "paper",
+            "--seeds",
+            "1",
+            "--methods",
+            "hitl-ac",
+            "--episodes",
+            "4",
+            "--test-episodes",
+            "1",
+        ),
         *("--backend", "my_team:poles", "--observation-size", "3", "--action-size", "1"),
         *("--learner", "my_sac:sac", "--hidden-sizes", "8", "--batch-size", "8"),
         *("--boundary-source", "my_team:drifting", "--indicator", "my_team:tilt"),

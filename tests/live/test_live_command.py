@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 
+import compiled
 import jax
 import numpy as np
 import pytest
@@ -32,6 +33,8 @@ _OPTIONS = (
     *("--no-open-page", "--port", "0", "--warmup-steps", "64", "--initial-boundary", "0.1"),
     *small.OPTIONS,
 )
+
+_RULE = {"boundary_learner": "printed", "boundary_source": "rule"}
 
 
 class _Page:
@@ -216,6 +219,19 @@ def test_a_session_from_before_a_choice_was_one_goes_on_with_its_default(tmp_pat
         lines_of(path, header, print)
 
 
+def test_a_walker_of_a_sweeps_default_begins_with_its_task_networks(tmp_path):
+    learned = make_agent(small.AGENT)  # Another boundary learner than the page's.
+    train = compiled.init(learned, jax.random.key(3))
+    path = tmp_path / "params.npz"
+    np.savez(path, **checkpoint.flatten(train, np.float32(0.0)))
+    agent = dataclasses.replace(small.AGENT, **_RULE)
+    setup = setup_of(LiveOptions(mode="test", start=str(path), agent=agent))
+    assert setup.start["boundary"] == np.float32(setup.hyper.initial_boundary)
+    first = setup.first_train(jax.random.key(0))
+    jax.tree.map(np.testing.assert_array_equal, first.learner.actor, train.learner.actor)
+    assert first.boundary.target_critic is None
+
+
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
@@ -228,7 +244,9 @@ def test_a_session_from_before_a_choice_was_one_goes_on_with_its_default(tmp_pat
 def test_what_cannot_be_begun_with_is_refused(changed, message, tmp_path, capsys):
     """Such as a run whose boundary is no number that a rule moves."""
     sizes = (16,) if changed else (8,)
-    setup = setup_of(LiveOptions(agent=dataclasses.replace(small.AGENT, hidden_sizes=sizes)))
+    setup = setup_of(
+        LiveOptions(agent=dataclasses.replace(small.AGENT, hidden_sizes=sizes, **_RULE))
+    )
     train = setup.first_train(jax.random.key(0))
     arrays = checkpoint.flatten(dataclasses.replace(train, key=None), np.float32(0.3))
     np.savez(tmp_path / "start.npz", **arrays | changed)
