@@ -51,6 +51,7 @@ def _sizes(work, folder):
     environment = {
         **os.environ,
         "JAX_ENABLE_COMPILATION_CACHE": "false",
+        "JAX_NUM_CPU_DEVICES": "1",  # Each device would compile the same again.
         "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {flags}",
     }
     subprocess.run([sys.executable, "-c", work, str(folder / "out")], env=environment, check=True)

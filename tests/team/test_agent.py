@@ -70,8 +70,6 @@ def _train(agent, hyper, frames, updates):
     ("learner", "layer_norm", "precision"),
     [
         ("ddpg", False, "float32"),
-        ("ddpg", True, "float32"),
-        ("td3", False, "float32"),
         ("td3", True, "float32"),
         ("td3-tqc", True, "float32"),
         ("td3-tqc", True, "bfloat16"),
