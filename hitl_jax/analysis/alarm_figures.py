@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hitl_jax.analysis import stats
+from hitl_jax.analysis.claims_on_training import mean_boundary
 from hitl_jax.analysis.figure_data import boundary_label, tolerance_in
 from hitl_jax.analysis.figure_style import (
     PAGE,
@@ -187,7 +188,10 @@ def _draw_share(
 def _mark_boundaries(
     axes_of: list[Axes], methods: dict[str, _Counts], folder: ResultsFolder
 ) -> list[Any]:
-    """The human's own threshold, and where HITL-AC's boundaries ended; what the legend says."""
+    """The human's own threshold, and where HITL-AC's boundaries ended; what the legend says.
+
+    A boundary that is a function of the state ends at a mean: its last value is of one state.
+    """
     marks: list[Any] = []
     tolerance = tolerance_in(folder)
     if tolerance is not None:
@@ -197,9 +201,13 @@ def _mark_boundaries(
             axes.axvline(tolerance, **threshold)
     if "hitl-ac" in methods:
         keys = [RunKey("hitl-ac", seed) for seed in methods["hitl-ac"].seeds]
-        ends = [folder.load_run(key).episodes["final_boundary"][-1] for key in keys]
+        means = np.array([mean_boundary(folder.load_run(key)) for key in keys])
+        ends = means[~np.isnan(means)]
+        if not ends.size:
+            return marks
         band: dict[str, Any] = {"color": line_style("hitl-ac")["color"], "alpha": 0.3}
-        marks.append(patch_mark(label="learned boundaries (HITL-AC)", linewidth=0, **band))
+        marks.append(patch_mark(label="mean learned boundaries (HITL-AC)", linewidth=0, **band))
         for axes in axes_of:
-            axes.axvspan(min(ends), max(ends), linewidth=1.5, **band)  # a line if they are equal
+            # With a width, since equal ends make a line.
+            axes.axvspan(ends.min(), ends.max(), linewidth=1.5, **band)
     return marks

@@ -198,6 +198,8 @@ def test_a_boundary_that_never_settles_is_said_to():
         ([0.3] * 9 + [0.05], HOLDS, "9 of 10 seeds, from 0.050 to 0.300"),
         ([0.3] * 8 + [1.48, 0.05], HOLDS_NOT, "8 of 10 seeds, from 0.050 to 1.480"),
         ([0.3] * 9 + [np.nan], UNDECIDED, "9 of 10 seeds"),
+        ([1.5] * 10, HOLDS_NOT, "0 of 10 seeds, from 1.500 to 1.500"),
+        ([np.nan] * 10, UNDECIDED, "0 of 10 seeds, of no known boundary"),
     ],
 )
 def test_where_the_human_goes_by_no_angle_the_boundary_must_run_to_neither_bound(
