@@ -1,7 +1,11 @@
 """Alarms at any boundary: counted by hand, and as the tests of a run count them."""
 
+import types
+
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from pages import ROOT
 
 from hitl_jax.analysis import alarm_figures
 from hitl_jax.analysis.alarms import count_alarms, total
@@ -94,3 +98,12 @@ def test_a_panel_without_data_is_not_drawn(tmp_path, monkeypatch):
         assert all(axes.lines for axes in figures[-1].axes)
     _table(folder, steps="5")
     assert alarm_figures.draw(folder).no_data == ["figure8_alarms: no data for it"]
+
+
+def test_a_boundary_over_the_state_is_shown_by_its_mean():
+    """Its last value is of one state, anywhere within the bounds."""
+    axes = Figure().subplots()
+    counts = {"hitl-ac": types.SimpleNamespace(seeds=range(10))}
+    alarm_figures._mark_boundaries([axes], counts, ResultsFolder(ROOT / "results" / "full"))
+    [band] = axes.patches
+    assert 0.2 < band.get_x() < band.get_x() + band.get_width() < 0.4
