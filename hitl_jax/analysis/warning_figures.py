@@ -171,7 +171,7 @@ def _figure(warnings: Rows, precision: Rows, reliability: Rows) -> Figure | None
                 lines[name] = _draw(warned, own, _WARNED, looks, name)
                 own = only(precision, method=method, indicator=name)
                 _draw(precise, own, _TIMELY, looks, name)
-        warned.set(xscale="log", ylim=(0.0, 1.03), xlabel="false alarms [share of quiet steps]")
+        warned.set(xscale="log", ylim=(0.0, 1.03), xlabel="false alarms\n[share of quiet steps]")
         warned.set_title(method.upper(), fontsize=9, color=COLOURS[method])
         precise.set(
             ylim=(0.0, 1.03), xlabel="steps within 1 s of a fall\nthat have an alarm [share]"

@@ -217,6 +217,7 @@ def test_where_the_human_goes_by_no_angle_the_boundary_must_run_to_neither_bound
     assert claim.measured.startswith(told)
 
 
+@pytest.mark.slow
 def test_what_is_committed_is_what_the_data_give(tmp_path, monkeypatch):
     # Drawings may differ with matplotlib's version; texts may not.
     monkeypatch.setattr(reports, "draw_all", lambda folder: Drawn([], [], []))

@@ -46,6 +46,7 @@ def test_every_section_with_a_program_is_tried_here():
     assert all(f'"{name}"' in source for name in with_program)
 
 
+@pytest.mark.slow
 def test_runs_are_trained_tested_and_saved(names):
     made = names("Train", "Test and save what was trained")
     assert len(made["finished"]) == 4
@@ -98,6 +99,7 @@ def test_the_patient_human_waits_and_rests(names):
     assert judged(made["mine"], [tilted] * 20, slow) == [False] * 14 + [True] * 6
 
 
+@pytest.mark.slow
 def test_the_cars_have_a_human_who_knows_cars(names):
     made = names("An environment of your own")
     agent = made["agent"]
@@ -113,6 +115,7 @@ def test_the_cars_have_a_human_who_knows_cars(names):
     assert sum(row["alarms"] for row in rows) > 0
 
 
+@pytest.mark.slow
 def test_eight_runs_are_updated_at_once(names):
     made = names("The update functions alone")
     assert made["metrics"]["q"].shape == (8,) and jnp.isfinite(made["metrics"]["q"]).all()

@@ -74,6 +74,7 @@ def test_the_environment_is_a_copy(monkeypatch):
     assert os.environ["PYTHONPATH"] == "before"
 
 
+@pytest.mark.slow
 def test_a_sweep_beside_modules_of_the_same_names(shadowing):
     """The sweep's worker processes and its drawing process import the right modules."""
     words = ["--methods", "srl", "--seeds", "1", "--episodes", "2", "--test-episodes", "1"]

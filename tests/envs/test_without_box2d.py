@@ -74,6 +74,7 @@ def _copied_as_made_on(backend, folder, tmp_path):
     return other
 
 
+@pytest.mark.slow
 def test_a_sweep_uses_backend_jax_and_says_so(swept):
     out, said = swept
     first, *others = said.splitlines()
@@ -87,6 +88,7 @@ def test_a_sweep_uses_backend_jax_and_says_so(swept):
     assert (len(run.episodes["return"]), len(run.tests["return"])) == (1, 1)
 
 
+@pytest.mark.slow
 def test_runs_of_backend_jax_are_replayed_and_resumed(swept):
     out, _ = swept
     (code, said, err), again = _outcomes(
@@ -98,6 +100,7 @@ def test_runs_of_backend_jax_are_replayed_and_resumed(swept):
     assert again[1].startswith(_NOTE)
 
 
+@pytest.mark.slow
 def test_a_folder_of_another_backend_is_not_resumed(swept, tmp_path):
     """A folder that was begun with Box2D is not resumed without it, nor the reverse."""
     lean = _copied_as_made_on("lean", swept[0], tmp_path)
@@ -107,6 +110,7 @@ def test_a_folder_of_another_backend_is_not_resumed(swept, tmp_path):
     assert 'backend: folder has "lean", asked for "jax"' in err
 
 
+@pytest.mark.slow
 @theirs.needs_box2d
 def test_with_box2d_a_folder_of_backend_jax_is_not_resumed(swept, capsys):
     assert run_main("sweep", seed_sweep.main, [*_SWEEP[1:], "--out", str(swept[0])]) == 2

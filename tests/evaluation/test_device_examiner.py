@@ -21,7 +21,7 @@ from hitl_jax.evaluation.trials import evaluate_runs
 from hitl_jax.team import agent as agents
 from hitl_jax.training.run_spec import FinishedRun, Run, RunSpec, Snapshot
 
-pytestmark = pytest.mark.usefixtures("compiled_fully")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("compiled_fully")]
 
 _AGENT = agents.make_agent(paper_config(learner="td3", hidden_sizes=(16,)))
 _EPISODES = 20  # of a test: more than a table has, and no multiple of it

@@ -7,6 +7,10 @@ import shutil
 import subprocess
 import sys
 
+import pytest
+
+pytestmark = pytest.mark.slow
+
 _TESTS = pathlib.Path(__file__).parents[1]
 _PACKAGE = _TESTS.parent / "hitl_jax"
 _LINE = (

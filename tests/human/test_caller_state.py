@@ -166,6 +166,7 @@ def test_a_human_of_plain_numbers_acts(start, step):
     assert _acted(start, step) == [True, False, False] * 2 + [True, False]
 
 
+@pytest.mark.slow
 def test_runs_with_such_a_human_are_those_of_one_with_arrays():
     def played(start):
         agent = make_agent(_CONFIG, judge=_counting(start, 1))

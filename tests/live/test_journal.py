@@ -107,6 +107,7 @@ def test_a_line_that_the_disk_refuses_leaves_nothing(tmp_path, monkeypatch):
     assert path.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_ten_minutes_killed_at_any_moment_play_again(tmp_path):
     """At a random one of 30,000 frames. The checksums of all chunks are compared as it plays."""
     path, chance = tmp_path / "journal.jsonl", np.random.default_rng()

@@ -160,6 +160,7 @@ def test_a_run_that_diverged_is_marked():
     assert "| tiny | srl | 1 (1 diverged) |" in text
 
 
+@pytest.mark.slow
 def test_settings_of_one_program_are_trained_together(tmp_path, monkeypatch):
     groups, batch = [], runs.batch_of
 

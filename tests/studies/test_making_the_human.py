@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from hitl_jax.commands import human as command
 from hitl_jax.console.cli import run_main
@@ -60,6 +61,7 @@ def test_members_of_a_crew_act_in_turns():
         np.testing.assert_allclose(actions[members == member][0], own, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_both_files_are_made_and_read(tmp_path, capsys, monkeypatch):
     crew = {learner: (seeds[:1], share) for learner, (seeds, share) in trained_human.CREW.items()}
     monkeypatch.setattr(trained_human, "CREW", crew)

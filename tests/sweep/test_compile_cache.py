@@ -4,6 +4,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 _SCRIPT = """
 import sys
 from hitl_jax.sweep.compile_cache import keep_programs
@@ -29,6 +31,7 @@ print(len(missed) == 0, [leaf.tobytes().hex() for leaf in jax.tree.leaves(train.
 """
 
 
+@pytest.mark.slow
 def test_a_second_start_loads_its_programs_and_gives_the_same_numbers(tmp_path):
     environment = {
         **os.environ,

@@ -22,7 +22,10 @@ from hitl_jax.results.run_files import RUN_FILES
 from hitl_jax.sweep import run_sweep
 
 # A cluster begins by a fork, in which nothing of JAX's is used.
-pytestmark = pytest.mark.filterwarnings("ignore:os.fork", "ignore::ResourceWarning")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore:os.fork", "ignore::ResourceWarning"),
+]
 
 _OPTIONS = [
     *("--methods", "srl", "--seeds", "4", "--episodes", "2", "--test-episodes", "1"),

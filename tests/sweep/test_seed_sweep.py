@@ -107,6 +107,7 @@ def test_alarms_are_counted_in_the_episodes_of_the_tests(swept):
     assert (swept / "figures" / "figure8_alarms.png").exists()
 
 
+@pytest.mark.slow
 def test_help_is_measured_on_the_terrains_of_the_tests(swept):
     assert run_main("assistance", assistance.main, [str(swept), "--episodes", "2"]) == 0
     rows = list(csv.DictReader((swept / "assistance.csv").read_text().splitlines()))
@@ -216,6 +217,7 @@ def test_an_episode_that_there_is_not(swept, options, message, capsys):
     assert message in said.err
 
 
+@pytest.mark.slow
 def test_a_second_start_skips_what_is_done_and_adds_seeds(swept, capsys):
     before = (swept / "runs/srl/seed-0000/run.json").stat().st_mtime_ns
     assert _run(swept, "--methods", "srl", "--first-seed", "1") == 0
@@ -230,6 +232,7 @@ def test_a_second_start_skips_what_is_done_and_adds_seeds(swept, capsys):
     assert "finished" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys, monkeypatch):
     show, evaluate, chunks = Sweep._show, HostExaminer.evaluate, itertools.count(1)
 
@@ -268,6 +271,7 @@ def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys,
                 np.testing.assert_array_equal(getattr(again, name)[column], values, err_msg=column)
 
 
+@pytest.mark.slow
 def test_a_run_does_not_depend_on_workers_and_company(swept, tmp_path):
     assert _run(tmp_path / "alone", "--methods", "hitl-fix", "--workers", "1") == 0
     key = RunKey("hitl-fix", 0)
@@ -285,6 +289,7 @@ def test_another_configuration_is_refused_with_the_difference(swept, capsys):
     assert "hyper.gamma: folder has 0.98, asked for 0.9" in said
 
 
+@pytest.mark.slow
 def test_ctrl_c_draws_what_there_is_and_says_how_to_go_on(tmp_path):
     out = tmp_path / "out"
     with _start("--episodes", "100000", "--out", str(out)) as sweep:

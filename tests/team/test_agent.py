@@ -57,6 +57,12 @@ def _probe_hyper(**changes):
 _FRAMES, _UPDATES = 3 * 2 * 682, 1000
 
 
+_config = functools.partial(
+    paper_config, learner="ddpg", hidden_sizes=(8,), boundary_hidden_sizes=(8,)
+)
+"""Of a team that only acts."""
+
+
 def _train(agent, hyper, frames, updates):
     memory = replay.add(replay.init(frames.shape[1], 1, agent.layout), frames)
     state = compiled.init(agent, jax.random.key(0))
@@ -66,6 +72,7 @@ def _train(agent, hyper, frames, updates):
     return state
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("learner", "layer_norm", "precision"),
     [
@@ -169,10 +176,10 @@ def test_learn_is_one_update_after_another(learner):
     learned = compiled.learn(agent, hyper, before, memory, column, updates)
     key, sample_key, noise_key, boundary_key = jax.random.split(before.key, 4)
     size, gamma = config.batch_size, jnp.float32(hyper.gamma)
-    draw = replay.draw(
+    draw = compiled.draw(
         memory, agent.layout, column, sample_key, updates * size, config.n_step, gamma
     )
-    batch = replay.read(memory, agent.layout, column, draw)
+    batch = compiled.read(memory, agent.layout, column, draw)
     noise = jax.random.normal(noise_key, (updates * size, config.action_size))
     state, delay = before, config.task_learner.policy_delay
     for index in range(updates):
@@ -180,7 +187,7 @@ def test_learn_is_one_update_after_another(learner):
         one = jax.tree.map(lambda leaf, part=part: leaf[part], batch)
         last = index % delay == delay - 1
         state, _ = compiled.update(agent, hyper, state, one, noise[part], last)
-    pool = replay.sample_boundary(
+    pool = compiled.sample_boundary(
         memory, agent.layout, column, boundary_key, config.boundary_batch_size, gamma
     )
     state, _ = compiled.update_boundary(agent, hyper, state, pool)
@@ -211,7 +218,7 @@ def _walk(angles):
 
 
 def test_act_follows_algorithm_1_on_a_walk_by_hand():
-    agent = agents.make_agent(paper_config(boundary_source="rule", intervention="reset"))
+    agent = agents.make_agent(_config(boundary_source="rule", intervention="reset"))
     hyper = hyper_for(
         Method.HITL_AC, paper_hyper(initial_boundary=0.5, delta_minus=0.1, delta_plus=0.2)
     )
@@ -227,7 +234,7 @@ def test_act_follows_algorithm_1_on_a_walk_by_hand():
 
 
 def test_methods_differ_by_the_boundary_alone():
-    agent = agents.make_agent(paper_config())
+    agent = agents.make_agent(_config())
     walk = _walk([0.2, 0.8, 0.46, 0.8])
     decisions = {m: _act_many(agent, hyper_for(m, paper_hyper()), walk)[1] for m in Method}
     srl, fix, ac = (decisions[m] for m in (Method.SRL, Method.HITL_FIX, Method.HITL_AC))
@@ -238,7 +245,7 @@ def test_methods_differ_by_the_boundary_alone():
 
 
 def test_the_boundary_stays_in_its_range():
-    agent = agents.make_agent(paper_config())
+    agent = agents.make_agent(_config())
     hyper = paper_hyper(initial_boundary=0.3, boundary_low=0.25, delta_minus=0.1)
     state, decision = _act_many(agent, hyper_for(Method.HITL_AC, hyper), _walk([0.9] * 5))
     np.testing.assert_allclose(decision.next_boundary, [0.25] * 5, rtol=1e-6)
@@ -247,7 +254,7 @@ def test_the_boundary_stays_in_its_range():
 
 @pytest.mark.parametrize("source", ["network", "residual"])
 def test_a_learned_source_starts_at_tau_0(source):
-    agent = agents.make_agent(paper_config(boundary_source=source))
+    agent = agents.make_agent(_config(boundary_source=source))
     hyper = hyper_for(Method.HITL_AC, paper_hyper(boundary_noise=0.0, delta_minus=0.1))
     _, decision = _act_many(agent, hyper, _walk([0.2, 0.8, 0.2]))
     after = 0.6 if source == "residual" else 0.7
@@ -256,7 +263,7 @@ def test_a_learned_source_starts_at_tau_0(source):
 
 
 def test_takeover_executes_the_human_action():
-    agent = agents.make_agent(paper_config(intervention="takeover"))
+    agent = agents.make_agent(_config(intervention="takeover"))
     hyper = hyper_for(Method.HITL_AC, paper_hyper(takeover_steps=2, warmup_steps=0))
     walk = _walk([0.2, 0.9, 0.2, 0.2])
     _, decision = _act_many(agent, hyper, walk)
@@ -270,7 +277,7 @@ def test_takeover_executes_the_human_action():
 
 
 def test_with_hysteresis_a_takeover_ends_well_within_the_boundary():
-    agent = agents.make_agent(paper_config(intervention="takeover", release="hysteresis"))
+    agent = agents.make_agent(_config(intervention="takeover", release="hysteresis"))
     hyper = paper_hyper(takeover_steps=1, release_share=0.5, initial_boundary=0.7)
     walk = _walk([0.9, 0.4, 0.36, 0.34, 0.36])  # Below 0.45 rad the human sees no danger.
     _, decision = _act_many(agent, hyper_for(Method.HITL_FIX, hyper), walk)
@@ -282,7 +289,7 @@ def test_with_hysteresis_a_takeover_ends_well_within_the_boundary():
 
 @pytest.mark.parametrize("source", ["quantile", "pid"])
 def test_a_source_with_a_target_moves_hitl_acs_boundary_alone(source):
-    agent = agents.make_agent(paper_config(boundary_source=source))
+    agent = agents.make_agent(_config(boundary_source=source))
     walk = _walk([0.9] * 50)
     for method, moves in ((Method.HITL_AC, True), (Method.HITL_FIX, False)):
         _, decision = _act_many(agent, hyper_for(method, paper_hyper(boundary_noise=0.0)), walk)
@@ -291,7 +298,7 @@ def test_a_source_with_a_target_moves_hitl_acs_boundary_alone(source):
 
 
 def test_an_absent_human_changes_nothing_but_is_recorded():
-    agent = agents.make_agent(paper_config(intervention="takeover"))
+    agent = agents.make_agent(_config(intervention="takeover"))
     hyper = hyper_for(Method.HITL_FIX, paper_hyper()).replace(human_present=0.0)
     _, decision = _act_many(agent, hyper, _walk([0.9, 0.9]))
     assert decision.alarmed.all() and decision.dangerous.all()
@@ -299,7 +306,7 @@ def test_an_absent_human_changes_nothing_but_is_recorded():
 
 
 def test_exploration_noise_has_its_scale_and_correlation():
-    agent = agents.make_agent(paper_config())
+    agent = agents.make_agent(_config())
     hyper = paper_hyper(
         exploration_noise=0.1, noise_correlation=0.8, noise_free_every=0, warmup_steps=0
     )

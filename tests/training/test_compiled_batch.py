@@ -17,7 +17,7 @@ from hitl_jax.xla.devices import cpu_device
 from hitl_jax.xla.pytree_words import unpack
 from hitl_jax.xla.threefry import make_key
 
-pytestmark = pytest.mark.usefixtures("compiled_fully")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("compiled_fully")]
 
 _AGENT, _ROUNDED = (
     agents.make_agent(

@@ -143,6 +143,7 @@ def test_a_chunk_that_is_begun_ahead_plays_the_same(together, monkeypatch):
         _assert_same(run, finished[key])
 
 
+@pytest.mark.slow
 def test_learning_beside_a_chunk_changes_nothing(together, monkeypatch):
     """As an accelerator does, where the learner's device and the walkers' are one."""
     one = [devices.cpu_device("one")]

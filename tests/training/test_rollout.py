@@ -59,6 +59,7 @@ def test_a_run_equals_the_same_run_alone(together):
         _assert_same(alone[method, 1], together[method, 1])
 
 
+@pytest.mark.slow
 def test_order_queue_and_neighbours_do_not_matter(together):
     # Fewer slots than runs, another order, and neighbours of other hyperparameters.
     specs = [_spec(method, seed) for method in reversed(Method) for seed in (1, 0)]
@@ -120,6 +121,7 @@ def test_nothing_is_compiled_again():
     assert counts[known] == counts[-1]
 
 
+@pytest.mark.slow
 def test_memory_is_flat():
     """Arrays of JAX to the byte; of the process, what the episodes' rows and the allocator take."""
     specs = [
@@ -223,6 +225,7 @@ def _assert_falls(rows):
     assert {(row["return"], row["length"], row["end"]) for row in rows} == {(-100.0, 1, "fall")}
 
 
+@pytest.mark.slow
 def test_parameters_that_are_not_finite_end_a_run(together):
     sick = _spec(Method.SRL, 7, actor_learning_rate=1e30, critic_learning_rate=1e30)
     specs = [sick, *(_spec(method, seed) for method, seed in list(together)[1:])]

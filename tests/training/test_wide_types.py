@@ -151,6 +151,7 @@ def _played():
     return [(run.train, run.boundary) for run in runs], repr([r.run.episodes for r in runs]), tests
 
 
+@pytest.mark.slow
 def test_runs_and_their_tests_are_the_same():
     trained, episodes, tests = _played()
     wide_trained, wide_episodes, wide_tests = _with("jax_enable_x64", True, _played)
@@ -229,6 +230,7 @@ def test_keys_and_first_parameters_are_the_same(name, value):
     _same(begun(), _with(name, value, begun))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "heading",
     ["A human of your own", "An environment of your own", "The update functions alone"],

@@ -26,6 +26,7 @@ def test_braxs_wrappers_accept_it():
     assert env.action_size == 4
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_braxs_ppo_trains_on_it(monkeypatch):
     from brax.training.agents.ppo import train

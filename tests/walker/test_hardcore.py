@@ -109,6 +109,7 @@ def _stands_on_a_box(env):
     return any(len(corners) == 4 for corners in touched)
 
 
+@pytest.mark.slow
 def test_a_step_on_obstacles_is_box2ds(official):
     """Walkers are dropped over an obstacle and act at random."""
     rng = np.random.default_rng(0)

@@ -92,6 +92,7 @@ def test_joints_equal_box2ds(official):
             np.testing.assert_allclose(point, anchor, 1e-6)
 
 
+@pytest.mark.slow
 def test_a_step_from_a_copied_state_is_box2ds(official):
     rows = [row for seed in range(4) for row in played(official, seed, 200, 0.3)[5::7]]
     errors = []
@@ -211,6 +212,7 @@ def test_the_pools_episodes_follow_from_their_seeds():
         np.testing.assert_array_equal(again.observation[2], second.observation[0])
 
 
+@pytest.mark.slow
 def test_many_walkers_are_stepped_in_blocks(monkeypatch):
     def stepped(num):
         seeds = np.arange(num, dtype=np.uint32)
