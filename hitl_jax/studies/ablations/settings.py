@@ -82,14 +82,14 @@ _FORESIGHT: Changes = {
     "takeover_steps": 50,
     "feedback_schedule": "onset",
     "feedback": -10.0,
-    "alarm_reward": 60.0,
+    "alarm_reward": 15.0,
     "noise_free_every": 2,
     "unattended_every": 4,
     "boundary_low": 0.0,
     "boundary_noise": 0.1,
-    "boundary_temperature": 40.0,
+    "boundary_temperature": 10.0,
 }
-"""As `foresight_120` in results/README.md."""
+"""The defaults, with `ddpg`; as `foresight_120` in results/README.md."""
 
 
 def _without(part: str) -> Setting:
