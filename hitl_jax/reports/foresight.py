@@ -20,10 +20,12 @@ from hitl_jax.analysis.markdown import table
 from hitl_jax.analysis.summary import write_summary
 from hitl_jax.analysis.warning_figures import Rows, only, pooled_share
 from hitl_jax.config import Method
+from hitl_jax.results.episode_tables import Table, select
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.provenance import short_commit
+from hitl_jax.results.run_files import Run
 
-FOLDERS = ("full", "foresight_ddpg", "foresight_120", "foresight_160")
+FOLDERS = ("full", "foresight_120", "foresight_160", "foresight_risk")
 
 _FALSE_ALARMS = 0.01
 _METHOD = str(Method.HITL_AC)
@@ -86,11 +88,43 @@ def _of(folder: ResultsFolder, say: Callable[[str], None], shown: bool) -> str:
     told = [f"Help was not measured (no {assistance_figure.DATA}).\n"]
     if helped:
         told = [_help(assistance_figure.load(folder.path / assistance_figure.DATA))]
+    told.insert(0, _tested([run for run in runs if run.key.method == _METHOD]))
     if len(warned["seed"]) and len(precise["seed"]):
         told += [_warnings(warned), _precision(precise)]
     if len(reliable["seed"]):
         told.append(_reliability(reliable))
     return "\n".join([head, *told, pictures])
+
+
+def _tested(runs: list[Run]) -> str:
+    """What the human is worth whom the boundary calls as it was learned, in the sweep's tests."""
+    if not runs:
+        return "No run of HITL-AC has finished yet.\n"
+    alone, helped = (
+        [select(run.tests, "mode", mode) for run in runs] for mode in ("autonomous", "assisted")
+    )
+
+    def over_runs(tests: list[Table], measure: Callable[[Table], float]) -> np.ndarray:
+        return np.array([measure(of_run) for of_run in tests])
+
+    def returned(tests: Table) -> float:
+        return float(tests["return"].mean())
+
+    def fell(tests: Table) -> float:
+        return float(np.mean(tests["end"] == "fall"))
+
+    def held(tests: Table) -> float:
+        return float(tests["human_steps"].sum()) / float(tests["length"].sum())
+
+    before, after = over_runs(alone, returned), over_runs(helped, returned)
+    gain = stats.estimate(after - before, stats.mean)
+    return (
+        f"In the sweep's tests the mean return is {before.mean():.0f} alone and "
+        f"{after.mean():.0f} with the human, whom the boundary calls as it was learned: "
+        f"{gain:+.0f} with {over_runs(helped, held).mean():.1%} of the steps in human hands. "
+        f"{over_runs(alone, fell).mean():.0%} of the tests end in a fall alone, "
+        f"{over_runs(helped, fell).mean():.0%} with the human.\n"
+    )
 
 
 def _help(rows: Rows) -> str:

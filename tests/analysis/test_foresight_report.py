@@ -20,7 +20,7 @@ def _write(path, columns, rows):
 
 @pytest.fixture
 def folder(tmp_path):
-    made = ResultsFolder(tmp_path / "foresight_ddpg")
+    made = ResultsFolder(tmp_path / "foresight_risk")
     config = example_results.CONFIG | {"episodes": 4}
     made.create_or_resume(config, "command")
     runs = [("hitl-ac", 0), ("hitl-ac", 1)]
@@ -65,6 +65,11 @@ def folder(tmp_path):
 
 def test_the_tables_are_told(folder):
     text = foresight(folder.path.parent, pytest.fail)
+    assert (
+        "the mean return is -33 alone and 100 with the human, whom the boundary calls as it was "
+        "learned: +133 [+133, +133] with 100.0% of the steps in human hands. 100% of the tests end "
+        "in a fall alone, 0% with the human."
+    ) in text
     assert "mean return of 100 and fall in 60% of their tests" in text
     assert "| judges | 5% | learned boundary | 25 [25, 25] | 0.83 | – |" in text
     assert "| judges | 15% | chance | 15 [15, 15] | 1.00 | 60 [60, 60] |" in text
