@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax.benchmarks.timing import best
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, typed
 from hitl_jax.learner import replay
 from hitl_jax.learner.deterministic import DeterministicActorCritic
 from hitl_jax.results.episode_measures import Row
@@ -97,7 +97,7 @@ def make_learner(
     """
     agent = make_agent(config)
     programs = compiled_batch.make_programs(agent, num_updates, default_tile(runs))
-    hyper = jax.tree.map(np.asarray, hyper_for(Method.HITL_AC, Hyper()))
+    hyper = typed(agent.with_extra(hyper_for(Method.HITL_AC, Hyper())))
     layout = agent.layout
     share = runs // len(learning_devices())
     rng = np.random.default_rng(0)

@@ -25,7 +25,7 @@ from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.provenance import short_commit
 from hitl_jax.results.run_files import Run
 
-FOLDERS = ("full", "foresight_120", "foresight_160", "foresight_risk")
+FOLDERS = ("full", "foresight_ddpg", "foresight_120", "foresight_160")
 
 _FALSE_ALARMS = 0.01
 _METHOD = str(Method.HITL_AC)

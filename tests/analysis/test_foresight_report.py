@@ -20,7 +20,7 @@ def _write(path, columns, rows):
 
 @pytest.fixture
 def folder(tmp_path):
-    made = ResultsFolder(tmp_path / "foresight_risk")
+    made = ResultsFolder(tmp_path / "foresight_ddpg")
     config = example_results.CONFIG | {"episodes": 4}
     made.create_or_resume(config, "command")
     runs = [("hitl-ac", 0), ("hitl-ac", 1)]

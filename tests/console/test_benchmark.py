@@ -11,13 +11,14 @@ import small
 from toy import ToyPool
 
 from hitl_jax.benchmarks import loop, peers, scaling
-from hitl_jax.benchmarks.learner import update_flops
+from hitl_jax.benchmarks.learner import make_learner, update_flops
 from hitl_jax.benchmarks.timing import busy_seconds, memory_mb, stolen_seconds
 from hitl_jax.commands.benchmark import main
 from hitl_jax.config import AgentConfig, Method
 from hitl_jax.console.cli import run_main
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training.rollout import Rollout
+from hitl_jax.training.run_spec import LoopConfig
 from hitl_jax.xla.devices import learning_devices
 
 
@@ -43,6 +44,17 @@ def test_bad_input_is_one_line(args, said, capsys):
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
+
+
+def test_the_default_team_is_measured():
+    """With its human's options, which `Hyper` alone has not."""
+    config = AgentConfig(
+        learner="ddpg", hidden_sizes=(8,), batch_size=8, boundary_hidden_sizes=(8,)
+    )
+    runs = 2 * len(learning_devices())
+    learn = make_learner(config, runs, 2, LoopConfig(capacity=512))
+    before = [np.array(train) for train in learn()]
+    assert all((one != other).any() for one, other in zip(before, learn(), strict=True))
 
 
 def test_flops_of_an_update_counted_by_hand():
