@@ -52,17 +52,22 @@ def sample_decisions(
     came = functools.partial(_came, memory, layout, column)
     begin = _begins(memory, layout, column, key, batch_size, alarmed)
 
-    window = begin[:, None] + jnp.arange(span, dtype=jnp.int32)
-    ended = came(window, layout.terminated) + came(window, layout.truncated)
-    held = (came(window, layout.event) == CUT_OFF) & (ended == 0.0)
-    acted = came(window, layout.event) == CUT_OFF
+    window = (begin[:, None] + jnp.arange(span, dtype=jnp.int32)) % capacity
+    frames = memory.outcome[column, window]  # Once: to look up each number apart takes longer.
+
+    def there(index: int) -> chex.Array:
+        return frames[..., index - layout.reward]
+
+    ended = there(layout.terminated) + there(layout.truncated)
+    acted = there(layout.event) == CUT_OFF
+    held = acted & (ended == 0.0)
     # lasts[:, i]: the sample is still under way at step i, which the human takes as those before.
     lasts = jnp.cumprod(held[:, :-1] & acted[:, 1:], axis=1)
     lasts = jnp.concatenate([jnp.ones((batch_size, 1), jnp.int32), lasts], axis=1)
     taken = jnp.sum(lasts, axis=1)
-    reward = jnp.where(lasts > 0, came(window, layout.reward), 0.0)
+    reward = jnp.where(lasts > 0, there(layout.reward), 0.0)
     powers = gamma ** jnp.arange(span, dtype=jnp.int32)
-    terminated = jnp.sum(lasts * came(window, layout.terminated), axis=1)
+    terminated = jnp.sum(lasts * there(layout.terminated), axis=1)
     seen = memory.seen[column, begin % capacity]
     after = memory.seen[column, (begin + taken) % capacity]
     enough = replay.num_starts(memory, column, SPAN) > 0
