@@ -58,9 +58,11 @@ _LOOKS: tuple[dict[str, Any], ...] = (
     {"color": "#E69F00", "marker": "^", "linestyle": ":"},
     {"color": "#56B4E9", "marker": "v", "linestyle": "-."},
     {"color": "#999999", "marker": "D", "linestyle": "--"},
-    {"color": "#882255", "marker": "x", "linestyle": "-"},
 )
 """Of indicators, in the order of the file; none is a method's colour."""
+
+_LEARNED_LOOKS: dict[str, Any] = {"color": "#882255", "marker": "x", "linestyle": "-"}
+"""Of the learned boundary, in every folder."""
 
 _FEW = 20
 """Steps of a bin, or falls, below which a share says nothing."""
@@ -162,7 +164,11 @@ def _figure(warnings: Rows, precision: Rows, reliability: Rows) -> Figure | None
     columns = len(methods) + tells_risk
     figure, axes_of = panels(2, columns, (PAGE, 5.4))
     above, below = axes_of[:columns], axes_of[columns:]
-    looks_of = dict(zip(dict.fromkeys(warnings["indicator"].tolist()), _LOOKS, strict=False))
+    names = dict.fromkeys(warnings["indicator"].tolist())
+    others = [name for name in names if name != LEARNED]
+    looks_of = dict(zip(others, _LOOKS, strict=False))
+    if LEARNED in names:
+        looks_of[LEARNED] = _LEARNED_LOOKS
     lines = {}
     for warned, precise, method in zip(above, below, methods, strict=False):
         for name, looks in looks_of.items():
