@@ -17,10 +17,10 @@ from hitl_jax.analysis.assistance_figure import (
 )
 from hitl_jax.analysis.figures import draw_all
 from hitl_jax.analysis.markdown import table
-from hitl_jax.analysis.summary import write_summary
+from hitl_jax.analysis.summary import summarise_run, write_summary
 from hitl_jax.analysis.warning_figures import Rows, only, pooled_share
 from hitl_jax.config import Method
-from hitl_jax.results.episode_tables import Table, select
+from hitl_jax.results.episode_tables import select
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.provenance import short_commit
 from hitl_jax.results.run_files import Run
@@ -100,30 +100,23 @@ def _tested(runs: list[Run]) -> str:
     """What the human is worth whom the boundary calls as it was learned, in the sweep's tests."""
     if not runs:
         return "No run of HITL-AC has finished yet.\n"
-    alone, helped = (
-        [select(run.tests, "mode", mode) for run in runs] for mode in ("autonomous", "assisted")
+    rows = [summarise_run(run) for run in runs]
+    alone, helped, held, fell = (
+        np.array([row[name] for row in rows], np.float64)
+        for name in (
+            "test_return_mean",
+            "assisted_return_mean",
+            "assisted_takeover_rate",
+            "test_fall_rate",
+        )
     )
-
-    def over_runs(tests: list[Table], measure: Callable[[Table], float]) -> np.ndarray:
-        return np.array([measure(of_run) for of_run in tests])
-
-    def returned(tests: Table) -> float:
-        return float(tests["return"].mean())
-
-    def fell(tests: Table) -> float:
-        return float(np.mean(tests["end"] == "fall"))
-
-    def held(tests: Table) -> float:
-        return float(tests["human_steps"].sum()) / float(tests["length"].sum())
-
-    before, after = over_runs(alone, returned), over_runs(helped, returned)
-    gain = stats.estimate(after - before, stats.mean)
+    still = np.mean([select(run.tests, "mode", "assisted")["fall"].mean() for run in runs])
+    gain = stats.estimate(helped - alone, stats.mean)
     return (
-        f"In the sweep's tests the mean return is {before.mean():.0f} alone and "
-        f"{after.mean():.0f} with the human, whom the boundary calls as it was learned: "
-        f"{gain:+.0f} with {over_runs(helped, held).mean():.1%} of the steps in human hands. "
-        f"{over_runs(alone, fell).mean():.0%} of the tests end in a fall alone, "
-        f"{over_runs(helped, fell).mean():.0%} with the human.\n"
+        f"In the sweep's tests the mean return is {alone.mean():.0f} alone and "
+        f"{helped.mean():.0f} with the human, whom the boundary calls as it was learned: "
+        f"{gain:+.0f} with {held.mean():.1%} of the steps in human hands. "
+        f"{fell.mean():.0%} of the tests end in a fall alone, {still:.0%} with the human.\n"
     )
 
 

@@ -26,7 +26,8 @@ def folder(tmp_path):
     runs = [("hitl-ac", 0), ("hitl-ac", 1)]
     for method, seed in runs:
         info = example_results.make_info(config=config, commit="0123456789")
-        episodes, tests = example_results.make_episodes(), example_results.make_tests()
+        episodes = example_results.make_episodes()
+        tests = example_results.make_tests() | {"fall": [1, 0]}  # Autonomous, assisted.
         params = example_results.make_params()
         made.save_run(RunKey(method, seed), episodes, tests, params, info)
     helped = [
