@@ -155,6 +155,12 @@ def only(rows: Rows, **wanted: str) -> Rows:
     return {name: values[chosen] for name, values in rows.items()}
 
 
+def _looks_of(names: list[str]) -> dict[str, dict[str, Any]]:
+    """By name; the learned boundary comes last."""
+    looks = dict(zip((name for name in names if name != LEARNED), _LOOKS, strict=False))
+    return looks | ({LEARNED: _LEARNED_LOOKS} if LEARNED in names else {})
+
+
 def _figure(warnings: Rows, precision: Rows, reliability: Rows) -> Figure | None:
     """None where no indicator has enough falls."""
     methods = [method for method in METHODS if _enough_falls(only(warnings, method=method))]
@@ -164,11 +170,7 @@ def _figure(warnings: Rows, precision: Rows, reliability: Rows) -> Figure | None
     columns = len(methods) + tells_risk
     figure, axes_of = panels(2, columns, (PAGE, 5.4))
     above, below = axes_of[:columns], axes_of[columns:]
-    names = dict.fromkeys(warnings["indicator"].tolist())
-    others = [name for name in names if name != LEARNED]
-    looks_of = dict(zip(others, _LOOKS, strict=False))
-    if LEARNED in names:
-        looks_of[LEARNED] = _LEARNED_LOOKS
+    looks_of = _looks_of(list(dict.fromkeys(warnings["indicator"].tolist())))
     lines = {}
     for warned, precise, method in zip(above, below, methods, strict=False):
         for name, looks in looks_of.items():

@@ -26,6 +26,13 @@ def test_a_share_is_over_all_seeds_together_where_there_are_enough():
     assert np.isnan(low[1]) and np.isnan(high[1])
 
 
+def test_the_learned_boundary_looks_the_same_whatever_is_beside_it():
+    few = warning_figures._looks_of(["learned_boundary", "hull_angle"])
+    many = warning_figures._looks_of([*"abcde", "learned_boundary"])
+    assert few["learned_boundary"] == many["learned_boundary"]
+    assert len({looks["color"] for looks in many.values()}) == 6
+
+
 def _write(path, columns, rows):
     with path.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
