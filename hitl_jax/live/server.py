@@ -193,7 +193,6 @@ class PageServer:
         return make_server(
             self._app(),
             self._limits,
-            ws="websockets-sansio",  # the default of older releases is deprecated
             ws_max_size=MAX_MESSAGE_BYTES,
             timeout_graceful_shutdown=1,
         )

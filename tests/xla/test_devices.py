@@ -11,12 +11,14 @@ from jaxlib import xla_client
 from hitl_jax.xla import devices
 
 _SCRIPT = """
-import os, pathlib
+import contextlib, os
 os.nice(3)
 from hitl_jax.xla.devices import acting_device, learning_devices
 acting_device(), learning_devices()
-tasks = pathlib.Path("/proc/self/task").iterdir()
-nice = {os.getpriority(os.PRIO_PROCESS, int(task.name)) for task in tasks}
+nice = set()
+for thread in os.listdir("/proc/self/task"):
+    with contextlib.suppress(ProcessLookupError):  # It has ended.
+        nice.add(os.getpriority(os.PRIO_PROCESS, int(thread)))
 print(os.getpriority(os.PRIO_PROCESS, 0), *sorted(nice))
 """
 
