@@ -6,7 +6,7 @@ import pathlib
 import resource
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -71,11 +71,12 @@ def busy_seconds() -> Busy:
     proc = pathlib.Path("/proc")
     if not proc.joinpath("self/stat").exists():
         return Busy(float("nan"), float("nan"))
-    threads = [_thread(stat) for stat in proc.glob("self/task/*/stat")]
-    usual = _thread(proc / "self/stat").nice
+    threads = _texts(proc.glob("self/task/*/stat"))
+    children = _texts(proc / child / "stat" for child in _children())
+    usual = _thread(proc.joinpath("self/stat").read_text(encoding="utf-8")).nice
     return Busy(
-        learner=sum(thread.seconds for thread in threads if thread.nice > usual),
-        walkers=sum(_thread(proc / child / "stat").seconds for child in _children()),
+        learner=sum(one.seconds for one in map(_thread, threads) if one.nice > usual),
+        walkers=sum(_thread(stat).seconds for stat in children),
     )
 
 
@@ -96,13 +97,21 @@ class _Thread(NamedTuple):
     nice: int
 
 
-def _thread(stat: pathlib.Path) -> _Thread:
+def _thread(stat: str) -> _Thread:
     """What Linux counts of a thread, or of all threads of a process; see proc(5)."""
-    fields = stat.read_text(encoding="utf-8").rsplit(")", 1)[1].split()
+    fields = stat.rsplit(")", 1)[1].split()
     ticks = int(fields[11]) + int(fields[12])
     return _Thread(ticks / os.sysconf("SC_CLK_TCK"), int(fields[16]))
 
 
 def _children() -> list[str]:
-    tasks = pathlib.Path("/proc/self/task").glob("*/children")
-    return " ".join(task.read_text(encoding="utf-8") for task in tasks).split()
+    return " ".join(_texts(pathlib.Path("/proc/self/task").glob("*/children"))).split()
+
+
+def _texts(files: Iterable[pathlib.Path]) -> list[str]:
+    """What files of /proc hold, but for those of threads and processes that have ended."""
+    texts = []
+    for file in files:
+        with contextlib.suppress(OSError):
+            texts.append(file.read_text(encoding="utf-8"))
+    return texts

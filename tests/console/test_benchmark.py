@@ -3,6 +3,7 @@
 import contextlib
 import subprocess
 import sys
+import threading
 
 import jax
 import numpy as np
@@ -143,3 +144,26 @@ def test_busy_are_learners_and_children_not_this_thread():
     x = jax.device_put(np.ones((1500, 1500), np.float32), learning_devices()[0])
     product(x).block_until_ready()
     assert busy_seconds().learner - after.learner > 0.01
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's /proc")
+def test_threads_that_end_meanwhile_break_no_measurement():
+    ended, interval = threading.Event(), sys.getswitchinterval()
+
+    def start_and_end():
+        while not ended.is_set():
+            thread = threading.Thread(target=lambda: None)
+            thread.start()
+            thread.join()
+
+    starting = threading.Thread(target=start_and_end)
+    starting.start()
+    sys.setswitchinterval(1e-6)
+    try:
+        for _ in range(500):
+            assert busy_seconds().walkers >= 0
+            assert memory_mb(children=True) > 0
+    finally:
+        sys.setswitchinterval(interval)
+        ended.set()
+        starting.join()
