@@ -5,19 +5,18 @@ import numpy as np
 from hitl_jax.analysis import stats, summary
 from hitl_jax.analysis.compared_runs import ComparedRuns
 from hitl_jax.analysis.verdicts import (
-    HOLDS,
-    HOLDS_NOT,
     MARGIN,
-    UNDECIDED,
+    SURE_AIM,
     Claim,
+    in_order,
     in_resamples,
-    least,
     of_sign,
 )
 from hitl_jax.results.episode_tables import METHODS, select
 
 _GOOD = 300.0
-_SURE = 0.8
+_TOLD = 5
+"""Points of training that are told, the last among them."""
 
 
 def skill(results: ComparedRuns) -> Claim:
@@ -46,24 +45,24 @@ def skill(results: ComparedRuns) -> Claim:
 
 def skill_over_training(results: ComparedRuns) -> Claim | None:
     """The autonomous tests during training; None where no run was tested then."""
-    tested: dict[int, list[str]] = {}
-    for method in reversed(METHODS):
-        runs = [run for run in results.runs[method] if len(run.progress["trained"])]
-        if not runs:
-            continue
-        points, returns = zip(*map(summary.skill_over_training, runs), strict=True)
-        for point, scores in zip(points[0], np.array(returns).T, strict=True):
-            centre = stats.estimate(scores, stats.interquartile_mean)
-            tested.setdefault(int(point), []).append(f"{method.upper()} {centre:.0f}")
-        episodes = int(runs[0].progress["episode"].max())
-    if not tested:
+    tested = results.tested()
+    if tested is None:
         return None
+    last = len(tested.points) - 1
+    every = max(last // (_TOLD - 1), 1)
+    told = []
+    for place in range(last % every, last + 1, every):
+        centres = [
+            f"{method.upper()} {stats.estimate(returns[:, place], stats.interquartile_mean):.0f}"
+            for method, returns in reversed(tested.returns.items())
+        ]
+        told.append(f"episode {tested.points[place]}: {', '.join(centres)}")
     return Claim(
         "Skill over training",
         "–",
         "reported: interquartile mean of the autonomous test return at points of training, over "
-        f"the same {episodes} test episodes of a run at each",
-        "; ".join(f"episode {point}: {', '.join(cells)}" for point, cells in tested.items()),
+        f"the same {tested.episodes} test episodes of a run at each",
+        "; ".join(told),
         "–",
         results.seeds,
     )
@@ -71,22 +70,13 @@ def skill_over_training(results: ComparedRuns) -> Claim | None:
 
 def improvement(results: ComparedRuns) -> Claim:
     """How often one method is above another on the same seed."""
-    cells, verdicts = [], []
-    for x, y in (("hitl-ac", "hitl-fix"), ("hitl-fix", "srl")):
-        better, worse = _scores(results, x), _scores(results, y)
-        p = stats.probability_of_improvement(better, worse)
-        cells.append(f"{x.upper()} over {y.upper()} {p:.2f}")
-        if p.value >= _SURE and p.low > 0.5:
-            verdicts.append(HOLDS)
-        else:
-            verdicts.append(HOLDS_NOT if p.high < _SURE else UNDECIDED)
+    verdict, sure = in_order({method: _scores(results, method) for method in METHODS})
     return Claim(
         "How sure that order is",
         "one run of each method",
-        f"probability of improvement, paired by seed, at least {_SURE} for each step, its interval "
-        "above 0.5",
-        ", ".join(cells),
-        least(verdicts),
+        SURE_AIM,
+        sure,
+        verdict,
         results.seeds,
     )
 

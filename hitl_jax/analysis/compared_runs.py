@@ -5,8 +5,23 @@ from typing import NamedTuple
 import numpy as np
 
 from hitl_jax.analysis import stats
+from hitl_jax.analysis.summary import skill_over_training
 from hitl_jax.results.episode_tables import METHODS
 from hitl_jax.results.folder import Run
+
+
+class TestedDuringTraining(NamedTuple):
+    """Mean autonomous test returns at the same points of training of all runs, the end last.
+
+    Attributes:
+        points: training episodes until then, [P].
+        returns: of each method, [S, P].
+        episodes: of each test.
+    """
+
+    points: np.ndarray
+    returns: dict[str, np.ndarray]
+    episodes: int
 
 
 class ComparedRuns(NamedTuple):
@@ -30,3 +45,13 @@ class ComparedRuns(NamedTuple):
     def resampled(self) -> np.ndarray:
         """Indices of seeds drawn with replacement, the same for all methods, [resamples, S]."""
         return stats.resampled_seeds(self.seeds)
+
+    def tested(self) -> TestedDuringTraining | None:
+        """The tests during training; None where a run has none."""
+        runs = [run for method in METHODS for run in self.runs[method]]
+        if not all(len(run.progress["trained"]) for run in runs):
+            return None
+        skill = skill_over_training(runs)
+        returns = np.split(skill.returns, len(METHODS))
+        by_method = dict(zip(METHODS, returns, strict=True))
+        return TestedDuringTraining(skill.points, by_method, skill.episodes)

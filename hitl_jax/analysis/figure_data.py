@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hitl_jax.analysis.figure_style import literal
-from hitl_jax.analysis.summary import skill_over_training
+from hitl_jax.analysis.summary import NOT_TESTED, skill_over_training
 from hitl_jax.results.config_diff import flatten
 from hitl_jax.results.episode_tables import METHODS, Table
 from hitl_jax.results.folder import ResultsFolder, Run
@@ -113,14 +113,12 @@ def load(folder: ResultsFolder, runs: list[Run] | None = None) -> FigureData:
         training = [run.episodes for run in finished if len(run.episodes["episode"])] + begun
         played = [run.played for run in finished if len(run.played["episode"])] + begun
         tested = [run for run in finished if (run.tests["mode"] == "autonomous").any()]
-        often = [skill_over_training(run) for run in tested if len(run.progress["trained"])]
+        often = [run for run in tested if len(run.progress["trained"])]
         if training or tested:
-            points = often[0][0] if often else np.empty(0)
-            # All runs of a folder have the same points.
-            progress = [returns for _, returns in often]
+            skill = skill_over_training(often) if often else NOT_TESTED
             tests = [run.tests for run in tested]
-            each = max((run.progress["episode"].max(initial=0) for run in tested), default=0)
-            shown = (name, training, played, len(begun), tests, points, progress, int(each))
+            progress = (skill.points, list(skill.returns), skill.episodes)
+            shown = (name, training, played, len(begun), tests, *progress)
             methods.append(MethodData(*shown))
     longest = max((len(t["episode"]) for m in methods for t in m.training), default=0)
     window = int(np.clip(longest // 10, 20, 100))

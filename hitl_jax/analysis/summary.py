@@ -2,7 +2,8 @@
 
 import pathlib
 from collections import Counter
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -118,23 +119,48 @@ def write_summary(folder: ResultsFolder, runs: list[Run] | None = None) -> list[
     return [table, report]
 
 
-def skill_over_training(run: Run) -> tuple[np.ndarray, np.ndarray]:
-    """Mean autonomous test return at the points of training that were tested, the end last.
+class SkillOverTraining(NamedTuple):
+    """Mean autonomous test returns at points of training, the end last.
+
+    Attributes:
+        points: training episodes until then, [P].
+        returns: of each run, [S, P].
+        episodes: of each test.
+    """
+
+    points: np.ndarray
+    returns: np.ndarray
+    episodes: int
+
+
+NOT_TESTED = SkillOverTraining(np.empty(0, int), np.empty((0, 0)), 0)
+"""Where no run was tested during training."""
+
+
+def skill_over_training(runs: Sequence[Run]) -> SkillOverTraining:
+    """What runs could do at the points of training at which all of them were tested.
 
     At every point over the same terrains: of the test at the end, the first episodes alone.
 
     Args:
-        run: a finished run that was tested during training.
-
-    Returns:
-        Training episodes until then [P], and the mean returns [P].
+        runs: finished runs that were tested during training, as many episodes each; one at least.
     """
-    trained, number = run.progress["trained"], run.progress["episode"]
-    points = np.unique(trained)
-    means = [run.progress["return"][trained == point].mean() for point in points]
+    each = min(int(run.progress["episode"].max()) for run in runs)
+    points = np.unique(runs[0].progress["trained"])
+    for run in runs[1:]:
+        points = np.intersect1d(points, run.progress["trained"])
+    return SkillOverTraining(
+        np.append(points, len(runs[0].episodes["episode"])),
+        np.array([_mean_tests(run, points, each) for run in runs]),
+        each,
+    )
+
+
+def _mean_tests(run: Run, points: np.ndarray, episodes: int) -> list[float]:
+    """Mean returns of the first episodes of each test at these points, and at the end."""
     end = select(run.tests, "mode", "autonomous")
-    last = end["return"][end["episode"] <= number.max()].mean()
-    return np.append(points, len(run.episodes["episode"])), np.array([*means, last])
+    tests = [select(run.progress, "trained", point) for point in points]
+    return [test["return"][test["episode"] <= episodes].mean() for test in [*tests, end]]
 
 
 def summarise_run(run: Run) -> Row:

@@ -4,7 +4,7 @@ Each claim is given what the paper says, what must be seen for it to hold here, 
 and a verdict that follows from the last two by a rule.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -63,6 +63,33 @@ def share_of(holds: np.ndarray, of: Sequence[np.ndarray]) -> float:
 def verdict_of(share: float) -> str:
     """The verdict from such a share; NaN decides nothing."""
     return HOLDS if share >= 0.975 else HOLDS_NOT if share <= 0.025 else UNDECIDED
+
+
+SURE = 0.8
+"""Probability of improvement from which a method is called better."""
+
+SURE_AIM = (
+    f"probability of improvement, paired by seed, at least {SURE} for each step, its interval "
+    "above 0.5"
+)
+"""What `in_order` asks for, in words."""
+
+
+def in_order(scores: Mapping[str, np.ndarray]) -> tuple[str, str]:
+    """The verdict on "HITL-AC above HITL-FIX above SRL", and how sure each step is, in words.
+
+    Args:
+        scores: of each method, one for each seed, [S], in the same order; greater is better.
+    """
+    cells, verdicts = [], []
+    for x, y in (("hitl-ac", "hitl-fix"), ("hitl-fix", "srl")):
+        p = stats.probability_of_improvement(scores[x], scores[y])
+        cells.append(f"{x.upper()} over {y.upper()} {p:.2f}")
+        if p.value >= SURE and p.low > 0.5:
+            verdicts.append(HOLDS)
+        else:
+            verdicts.append(HOLDS_NOT if p.high < SURE else UNDECIDED)
+    return least(verdicts), ", ".join(cells)
 
 
 def least(verdicts: Sequence[str]) -> str:

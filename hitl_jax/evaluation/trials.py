@@ -27,7 +27,7 @@ Mode = Literal["autonomous", "assisted"]
 MOST_TEST_EPISODES = 10_000
 """Of one test: the host's examiner has a walker for each."""
 
-_PARTS = 5
+_PARTS = 20
 
 
 class Trial(NamedTuple):
@@ -71,7 +71,7 @@ class Examiner(Protocol):
 
 
 def milestones(episodes: int) -> tuple[int, ...]:
-    """Numbers of training episodes at which a run is tested before its end: 1/5 to 4/5 of it."""
+    """Numbers of training episodes at which a run is tested before its end: 1/20 to 19/20 of it."""
     points = (episodes * part // _PARTS for part in range(1, _PARTS))
     return tuple(sorted({point for point in points if point > 0}))
 

@@ -27,15 +27,32 @@ from hitl_jax.studies.ablations.starts import judge_starts
 _RESULTS = pathlib.Path(__file__).parents[2] / "results"
 
 
-def _run(method, seed, rises_at, test_return, assisted=0.0, end=0.45, interventions=(3, 1)):
-    """A run that walks from one episode on."""
+def _run(
+    method,
+    seed,
+    rises_at,
+    test_return,
+    assisted=0.0,
+    end=0.45,
+    interventions=(3, 1),
+    falls_every=1,
+):
+    """A run that walks from one episode on, and falls in some of those before."""
     number = np.arange(1, 1001)
+    tested = np.repeat(np.arange(50, 1000, 50), 2)
+    progress = dict.fromkeys(PROGRESS_COLUMNS, np.zeros(38)) | {
+        "trained": tested,
+        "episode": [1, 10] * 19,
+        "return": np.where(tested < rises_at, -100.0, test_return),
+        "end": ["goal"] * 38,
+    }
     training = dict.fromkeys(EPISODE_COLUMNS, np.zeros(1000)) | {
         "episode": number,
         "return": np.where(number < rises_at, -100.0, 300.0),
         "end": ["goal"] * 1000,
         "length": np.ones(1000),
         "env_steps": number,
+        "fall": (number < rises_at) & (number % falls_every == 0),
         "interventions": np.where(number < 500, *interventions),
         "final_boundary": np.where(number < 300, 0.7, end),
     }
@@ -53,6 +70,7 @@ def _run(method, seed, rises_at, test_return, assisted=0.0, end=0.45, interventi
         {"wall_seconds": 1.0},
         to_table(training, EPISODE_COLUMNS),
         to_table(tests, TEST_COLUMNS),
+        progress=to_table(progress, PROGRESS_COLUMNS),
     )
 
 
@@ -71,10 +89,13 @@ def test_all_claims_can_hold():
     claims = _judge(
         srl=[{"rises_at": 600, "test_return": 200.0 + seed} for seed in range(5)],
         fix=[{"rises_at": 400, "test_return": 280.0 + seed} for seed in range(5)],
-        ac=[{"rises_at": 250, "test_return": 310.0 + seed, "assisted": 15.0} for seed in range(5)],
+        ac=[
+            {"rises_at": 250, "test_return": 310.0 + seed, "assisted": 15.0, "falls_every": 2}
+            for seed in range(5)
+        ],
     )
     verdicts = {name: claim.verdict for name, claim in claims.items()}
-    assert verdicts.pop("Alarms before falls") == "–"
+    assert verdicts.pop("Alarms before falls") == verdicts.pop("Skill over training") == "–"
     assert set(verdicts.values()) == {HOLDS}
     # Of 100 returns of 300 or -100, 75 of 300 make a mean of 200.
     speed = claims["Training speed (Figure 4)"].measured
@@ -85,6 +106,17 @@ def test_all_claims_can_hold():
     assert claims["Training speed over environment steps"].measured == (
         "thousands of steps: HITL-AC 0 [0, 0], HITL-FIX 0 [0, 0], SRL 1 [1, 1]; "
         "so in 100 % of resamples of the seeds"
+    )
+    # Two tests of ten episodes each are looked at: from 300 and from 650 on both are of a walker.
+    assert claims["Steps to a test of 200"].measured == (
+        "thousands of steps: HITL-AC 0 [0, 0], HITL-FIX 0 [0, 0], SRL 1 [1, 1]; "
+        "so in 100 % of resamples of the seeds"
+    )
+    assert claims["Falls during training"].measured == (
+        "620 falls beside 2995, a ratio in [0.21, 0.21]; so in 100 % of resamples of the seeds"
+    )
+    assert claims["Area under the tests"].measured.endswith(
+        "HITL-AC over HITL-FIX 1.00 [1.00, 1.00], HITL-FIX over SRL 1.00 [1.00, 1.00]"
     )
     assert claims["Help in the test"].measured == (
         "+15.0 [+15.0, +15.0]; above it by more than 1 in 5 of 5 seeds"
@@ -104,9 +136,15 @@ def test_skill_over_training_is_over_equal_terrains():
     run = _run("hitl-ac", 0, rises_at=300, test_return=300.0)
     run.tests["return"][1] = -100.0  # of a terrain that the earlier tests did not have
     run = dataclasses.replace(run, progress=to_table(progress, PROGRESS_COLUMNS))
-    points, returns = skill_over_training(run)
-    assert points.tolist() == [200, 400, 1000]
-    assert returns.tolist() == [10.0, 250.0, 300.0]
+    skill = skill_over_training([run])
+    assert skill.points.tolist() == [200, 400, 1000]
+    assert skill.returns.tolist() == [[10.0, 250.0, 300.0]]
+    # One of an earlier or later version, which was tested at other points, and longer.
+    other = _run("hitl-ac", 1, rises_at=300, test_return=200.0)
+    assert skill_over_training([other]).points.tolist() == [*range(50, 1000, 50), 1000]
+    both = skill_over_training([run, other])
+    assert (both.points.tolist(), both.episodes) == ([200, 400, 1000], 1)
+    assert both.returns.tolist() == [[10.0, 250.0, 300.0], [-100.0, 200.0, 200.0]]
     runs = [dataclasses.replace(run, key=RunKey("hitl-ac", seed)) for seed in range(5)]
     compared = dict.fromkeys(("srl", "hitl-fix", "hitl-ac"), runs)
     claims = judge(compared, 0.45, _BOUNDS)
@@ -131,7 +169,7 @@ def test_all_claims_can_fail():
         ],
     )
     verdicts = {name: claim.verdict for name, claim in claims.items()}
-    del verdicts["Alarms before falls"]
+    del verdicts["Alarms before falls"], verdicts["Skill over training"]
     assert set(verdicts.values()) == {HOLDS_NOT}
     assert "HITL-AC never [never, never]" in claims["Training speed (Figure 4)"].measured
 
