@@ -39,7 +39,8 @@ class HumanParams:
     Attributes:
         tolerance: hull angle from which a state is dangerous.
         horizon: how far ahead a `predictive` human looks.
-        delay: reaction delay; 50 steps are one second, a person needs 10 to 25.
+        delay: reaction delay; 50 steps are one second. A simple reaction to what is seen takes
+            people 0.2 to 0.25 s, a choice more.
         mistake_rate: ε, probability that a judgement is flipped, at each step.
         lapse_rate: m, probability that no judgement is made, at each step.
         max_interventions: interventions that the human has patience for in a run. A judgement that
@@ -50,7 +51,7 @@ class HumanParams:
 
     tolerance: float = checked_by(0.45, _above_0, "rad")
     horizon: float = checked_by(0.2, _at_least_0, "s")
-    delay: int = checked_by(0, _count, "steps")
+    delay: int = checked_by(10, _count, "steps")
     mistake_rate: float = checked_by(0.0, _share, "1")
     lapse_rate: float = checked_by(0.0, _share, "1")
     max_interventions: int = checked_by(UNLIMITED, _count, "count")

@@ -41,7 +41,7 @@ class SweepOptions:
     """Train SRL, HITL-FIX and HITL-AC over a batch of seeds, test each walker, draw Figures 4-6.
 
     Attributes:
-        preset: `full` is the default comparison (10 seeds, 500 episodes, 100 test episodes);
+        preset: `full` is the default comparison (10 seeds, 400 episodes, 100 test episodes);
             `quick` is for looking around (2 seeds, 100 episodes, 20 test episodes, a few minutes);
             `paper` has 10 seeds, 1000 episodes and 100 test episodes, and what section IV of the
             paper says, whatever the other defaults are: its kind of learner (`ddpg`), a human who

@@ -53,7 +53,7 @@ class Preset:
 
 
 PRESETS = {
-    "full": Preset(seeds=10, episodes=500, test_episodes=100),
+    "full": Preset(seeds=10, episodes=400, test_episodes=100),
     "quick": Preset(seeds=2, episodes=100, test_episodes=20),
     "paper": Preset(seeds=10, episodes=1000, test_episodes=100, changes=PAPER),
 }

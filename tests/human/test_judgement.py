@@ -24,6 +24,8 @@ from judging import (
 from hitl_jax import human
 from hitl_jax.human.judgement import HumanParams
 
+AT_ONCE = HumanParams(delay=0)
+
 
 class TestDanger:
     @pytest.mark.parametrize(
@@ -181,20 +183,20 @@ class TestComposition:
         params = HumanParams(delay=2, mistake_rate=1.0, lapse_rate=1.0)
         assert not run_part(part, params, KEY, 4).any()
         # Attention after mistakes: patience spent stays spent.
-        params = HumanParams(mistake_rate=1.0, max_interventions=0)
+        params = AT_ONCE.replace(mistake_rate=1.0, max_interventions=0)
         assert not run_part(part, params, KEY, 4).any()
 
     @pytest.mark.parametrize(
         ("params", "expected"),
         [
-            (HumanParams(), "01100110"),
+            (AT_ONCE, "01100110"),
             (HumanParams(delay=2), "00011001"),
-            (HumanParams(mistake_rate=1.0), "10011001"),
+            (AT_ONCE.replace(mistake_rate=1.0), "10011001"),
             (HumanParams(delay=2, mistake_rate=1.0), "11100110"),
-            (HumanParams(lapse_rate=1.0), "00000000"),
-            (HumanParams(mistake_rate=1.0, lapse_rate=1.0), "00000000"),
-            (HumanParams(mistake_rate=1.0, max_interventions=0), "00000000"),
-            (HumanParams(tolerance=0.65), "00100010"),
+            (AT_ONCE.replace(lapse_rate=1.0), "00000000"),
+            (AT_ONCE.replace(mistake_rate=1.0, lapse_rate=1.0), "00000000"),
+            (AT_ONCE.replace(mistake_rate=1.0, max_interventions=0), "00000000"),
+            (AT_ONCE.replace(tolerance=0.65), "00100010"),
         ],
     )
     def test_the_simulated_human_by_hand(self, params, expected):
@@ -244,11 +246,11 @@ class HumanVariants(chex.TestCase):
         num_steps = 12
         part = human.simulated_human("predictive", max_delay=8)
         humans = [
-            HumanParams(),
+            AT_ONCE,
             HumanParams(tolerance=0.2, delay=3),
             HumanParams(tolerance=0.9, horizon=1.0, delay=8),
-            HumanParams(tolerance=0.1, mistake_rate=0.2, lapse_rate=0.3),
-            HumanParams(tolerance=0.1, max_interventions=2, refractory_steps=4),
+            AT_ONCE.replace(tolerance=0.1, mistake_rate=0.2, lapse_rate=0.3),
+            AT_ONCE.replace(tolerance=0.1, max_interventions=2, refractory_steps=4),
         ]
         stacked = jax.tree.map(lambda *leaves: jnp.array(leaves), *humans)
         keys = jax.random.split(KEY, len(humans))
@@ -286,8 +288,16 @@ def _alone(part, params, angles, key):
 
 
 class TestParams:
-    def test_the_defaults_are_a_perfect_human(self):
+    def test_the_defaults_are_right_after_a_reaction_time(self):
         params = HumanParams()
+        human.validate_human_params(params)
+        angles = jax.random.normal(KEY, (200,))
+        judged = run_part(SIMULATED, params, KEY, 200, angles)
+        np.testing.assert_array_equal(judged[10:], np.abs(angles)[:-10] >= 0.45)
+        assert not judged[:10].any()
+
+    def test_who_judges_at_once_is_perfect(self):
+        params = AT_ONCE
         human.validate_human_params(params)
         angles = jax.random.normal(KEY, (200,))
         judged = run_part(SIMULATED, params, KEY, 200, angles)

@@ -77,6 +77,7 @@ _FORESIGHT: Changes = {
     "boundary_learner": "margin",
     "boundary_hidden_sizes": (64, 64),
     "danger": "experienced",
+    "delay": 10,
     "human_actions": "trained",
     "intervention": "takeover",
     "takeover_steps": 50,
