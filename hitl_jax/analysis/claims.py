@@ -22,7 +22,9 @@ _CLAIMS: tuple[Callable[[ComparedRuns], Claim | None], ...] = (
     claims_on_skill.improvement,
     claims_on_training.boundary,
     claims_on_training.interventions,
+    claims_on_skill.skill_with_help,
     claims_on_skill.assistance,
+    claims_on_skill.assistance_during_training,
     claims_on_skill.alarms,
 )
 

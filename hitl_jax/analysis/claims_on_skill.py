@@ -10,11 +10,13 @@ from hitl_jax.analysis.verdicts import (
     Claim,
     in_order,
     in_resamples,
+    least,
     of_sign,
 )
-from hitl_jax.results.episode_tables import METHODS, select
+from hitl_jax.results.episode_tables import METHODS, MODES, select
 
 _GOOD = 300.0
+_ALONE = "test_return_mean"
 _TOLD = 5
 """Points of training that are told, the last among them."""
 
@@ -101,6 +103,48 @@ def assistance(results: ComparedRuns) -> Claim:
     )
 
 
+def assistance_during_training(results: ComparedRuns) -> Claim | None:
+    """The same at each point of training; None where no run was tested so."""
+    runs = results.runs["hitl-ac"]
+    if not all(summary.was_tested(run, mode) for run in runs for mode in MODES):
+        return None
+    alone, helped = (summary.skill_over_training(runs, mode) for mode in MODES)
+    gains = (helped.returns - alone.returns)[:, :-1]
+    estimates = [stats.estimate(gain, stats.mean) for gain in gains.T]
+    worst = min(estimates)
+    return Claim(
+        "Help in the test, over training",
+        "the boundary guides the agent to seek the human's intervention",
+        "HITL-AC's mean assisted test return is above its autonomous one at every point of "
+        "training before the last",
+        f"above it at {sum(gain.value > 0 for gain in estimates)} of {len(estimates)} points; "
+        f"by {worst:.1f} at least, by {max(estimates):.1f} at most",
+        least([of_sign(gain) for gain in estimates]),
+        results.seeds,
+    )
+
+
+def skill_with_help(results: ComparedRuns) -> Claim:
+    """The order of the methods, where those with a human may ask them."""
+    scores = {
+        method: _scores(results, method, "assisted_return_mean" if method != "srl" else _ALONE)
+        for method in METHODS
+    }
+    verdict, sure = in_order(scores)
+    means = ", ".join(
+        f"{method.upper()} {stats.estimate(scores[method], stats.mean):.1f}"
+        for method in reversed(METHODS)
+    )
+    return Claim(
+        "Skill with the human's help",
+        "its test phase asks for help",
+        f"mean test return, SRL's alone: {SURE_AIM}",
+        f"{means}; {sure}",
+        verdict,
+        results.seeds,
+    )
+
+
 def alarms(results: ComparedRuns) -> Claim:
     """How many falls an alarm came before."""
     falls = warned = 0
@@ -123,6 +167,6 @@ def alarms(results: ComparedRuns) -> Claim:
     )
 
 
-def _scores(results: ComparedRuns, method: str) -> np.ndarray:
+def _scores(results: ComparedRuns, method: str, measure: str = _ALONE) -> np.ndarray:
     rows = [summary.summarise_run(run) for run in results.runs[method]]
-    return np.array([row["test_return_mean"] for row in rows], float)
+    return np.array([row[measure] for row in rows], float)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hitl_jax.analysis import stats
-from hitl_jax.analysis.summary import skill_over_training
+from hitl_jax.analysis.summary import skill_over_training, was_tested
 from hitl_jax.results.episode_tables import METHODS
 from hitl_jax.results.folder import Run
 
@@ -49,7 +49,7 @@ class ComparedRuns(NamedTuple):
     def tested(self) -> TestedDuringTraining | None:
         """The tests during training; None where a run has none."""
         runs = [run for method in METHODS for run in self.runs[method]]
-        if not all(len(run.progress["trained"]) for run in runs):
+        if not all(map(was_tested, runs)):
             return None
         skill = skill_over_training(runs)
         returns = np.split(skill.returns, len(METHODS))

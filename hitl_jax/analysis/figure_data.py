@@ -5,7 +5,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hitl_jax.analysis.figure_style import literal
-from hitl_jax.analysis.summary import NOT_TESTED, skill_over_training
+from hitl_jax.analysis.summary import (
+    NOT_TESTED,
+    SkillOverTraining,
+    skill_over_training,
+    was_tested,
+)
 from hitl_jax.results.config_diff import flatten
 from hitl_jax.results.episode_tables import METHODS, Table
 from hitl_jax.results.folder import ResultsFolder, Run
@@ -21,9 +26,8 @@ class MethodData(NamedTuple):
             falls in `training`.
         unfinished: how many of these runs are under way.
         tests: of each run that was tested.
-        points: training episodes until each test during training, [P].
-        progress: mean return of each of those tests, [P], of each run that was so tested.
-        progress_episodes: of each of those tests.
+        progress: autonomous tests during training.
+        assisted: tests during training with the human.
     """
 
     name: str
@@ -31,9 +35,8 @@ class MethodData(NamedTuple):
     played: list[Table]
     unfinished: int
     tests: list[Table]
-    points: np.ndarray
-    progress: list[np.ndarray]
-    progress_episodes: int
+    progress: SkillOverTraining
+    assisted: SkillOverTraining
 
     def column(self, name: str) -> list[np.ndarray]:
         """A column of the training episodes of each run."""
@@ -113,12 +116,13 @@ def load(folder: ResultsFolder, runs: list[Run] | None = None) -> FigureData:
         training = [run.episodes for run in finished if len(run.episodes["episode"])] + begun
         played = [run.played for run in finished if len(run.played["episode"])] + begun
         tested = [run for run in finished if (run.tests["mode"] == "autonomous").any()]
-        often = [run for run in tested if len(run.progress["trained"])]
+        often = list(filter(was_tested, tested))
+        helped = [run for run in often if was_tested(run, "assisted")]
         if training or tested:
-            skill = skill_over_training(often) if often else NOT_TESTED
+            progress = skill_over_training(often) if often else NOT_TESTED
+            assisted = skill_over_training(helped, "assisted") if helped else NOT_TESTED
             tests = [run.tests for run in tested]
-            progress = (skill.points, list(skill.returns), skill.episodes)
-            shown = (name, training, played, len(begun), tests, *progress)
+            shown = (name, training, played, len(begun), tests, progress, assisted)
             methods.append(MethodData(*shown))
     longest = max((len(t["episode"]) for m in methods for t in m.training), default=0)
     window = int(np.clip(longest // 10, 20, 100))

@@ -67,20 +67,27 @@ def tests(data: FigureData) -> Figure | None:
 
 
 def over_training(data: FigureData) -> Figure | None:
-    """Autonomous test returns over training, which no human's reset cuts short."""
-    methods = [m for m in data.methods if m.progress]
+    """Test returns over training, which no human's reset cuts short."""
+    methods = [m for m in data.methods if len(m.progress.returns)]
     if not methods:
         return None
     figure, [axes] = panels(1, 1, (COLUMN, 3.7))
     lines = []
     for m in methods:
-        curve = over_seeds(m.points, m.progress, stats.interquartile_mean)
+        curve = over_seeds(m.progress.points, list(m.progress.returns), stats.interquartile_mean)
         lines.append(draw_curve(axes, m.name, curve))
-        lines[-1].set(marker="o", markersize=4)
+        lines[-1].set(marker="o", markersize=3)
+    for m in methods:
+        if len(m.assisted.returns):
+            centre = stats.interquartile_mean(m.assisted.returns, 0)
+            axes.plot(m.assisted.points, centre, color=COLOURS[m.name], linestyle=":")
+    helped = any(len(m.assisted.returns) for m in methods)
+    others = [line_mark(color=GREY, linestyle=":", label="assisted by the human")] * helped
     axes.set(xlabel="training episodes before the test")
-    axes.set(ylabel=f"autonomous test return\n(mean of {methods[0].progress_episodes} episodes)")
+    name = "test return" if helped else "autonomous test return"
+    axes.set(ylabel=f"{name}\n(mean of {methods[0].progress.episodes} episodes)")
     mark_solved(axes, "solved")
-    legend(figure, lines)
+    legend(figure, lines, others)
     return figure
 
 

@@ -120,7 +120,7 @@ def write_summary(folder: ResultsFolder, runs: list[Run] | None = None) -> list[
 
 
 class SkillOverTraining(NamedTuple):
-    """Mean autonomous test returns at points of training, the end last.
+    """Mean test returns at points of training, the end last.
 
     Attributes:
         points: training episodes until then, [P].
@@ -137,30 +137,40 @@ NOT_TESTED = SkillOverTraining(np.empty(0, int), np.empty((0, 0)), 0)
 """Where no run was tested during training."""
 
 
-def skill_over_training(runs: Sequence[Run]) -> SkillOverTraining:
+def skill_over_training(runs: Sequence[Run], mode: str = "autonomous") -> SkillOverTraining:
     """What runs could do at the points of training at which all of them were tested.
 
     At every point over the same terrains: of the test at the end, the first episodes alone.
 
     Args:
-        runs: finished runs that were tested during training, as many episodes each; one at least.
+        runs: finished runs that were tested in this mode during training, as many training episodes
+            each; one at least.
+        mode: `autonomous` or `assisted`.
     """
-    each = min(int(run.progress["episode"].max()) for run in runs)
-    points = np.unique(runs[0].progress["trained"])
-    for run in runs[1:]:
-        points = np.intersect1d(points, run.progress["trained"])
+    earlier = [select(run.progress, "mode", mode) for run in runs]
+    each = min(int(tests["episode"].max()) for tests in earlier)
+    points = np.unique(earlier[0]["trained"])
+    for tests in earlier[1:]:
+        points = np.intersect1d(points, tests["trained"])
+    returns = [
+        [*(_mean(select(tests, "trained", point), each) for point in points), _mean(end, each)]
+        for tests, end in zip(
+            earlier, (select(run.tests, "mode", mode) for run in runs), strict=True
+        )
+    ]
     return SkillOverTraining(
-        np.append(points, len(runs[0].episodes["episode"])),
-        np.array([_mean_tests(run, points, each) for run in runs]),
-        each,
+        np.append(points, len(runs[0].episodes["episode"])), np.array(returns), each
     )
 
 
-def _mean_tests(run: Run, points: np.ndarray, episodes: int) -> list[float]:
-    """Mean returns of the first episodes of each test at these points, and at the end."""
-    end = select(run.tests, "mode", "autonomous")
-    tests = [select(run.progress, "trained", point) for point in points]
-    return [test["return"][test["episode"] <= episodes].mean() for test in [*tests, end]]
+def was_tested(run: Run, mode: str = "autonomous") -> bool:
+    """Whether a run was tested during training in a mode, and at its end."""
+    return bool((run.progress["mode"] == mode).any() and (run.tests["mode"] == mode).any())
+
+
+def _mean(tests: Table, episodes: int) -> float:
+    """Mean return of the first episodes of a test."""
+    return float(tests["return"][tests["episode"] <= episodes].mean())
 
 
 def summarise_run(run: Run) -> Row:

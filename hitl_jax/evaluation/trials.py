@@ -104,16 +104,16 @@ def evaluate_runs(
     modes: Callable[[Method], Sequence[Mode]],
     between: Callable[[], None] = lambda: None,
 ) -> list[tuple[list[Row], list[Row]]]:
-    """Tests runs as training left them, and, alone, as they were at their snapshots.
+    """Tests runs as training left them, and as they were at their snapshots.
 
     The terrain depends on the seed alone: a comparison that is paired over methods needs fewer
-    episodes. Of N episodes of a test each of K snapshots gets ⌊N / K⌋, at least one, on the first
-    terrains of the test at the end. A run that diverged counts as falling at once.
+    episodes. Of N episodes of a test each of K snapshots gets ⌊N / K⌋ in each mode, at least one,
+    on the first terrains of the test at the end. A run that diverged counts as falling at once.
 
     Args:
         examiner: plays the episodes.
         runs: that have ended.
-        modes: which tests at the end, in this order, by method.
+        modes: which tests, in this order, by method.
         between: see `Examiner.play`.
 
     Returns:
@@ -122,7 +122,7 @@ def evaluate_runs(
     """
     each = examiner.num_episodes
     final = [_final(run, modes(run.run.spec.method), each) for run in runs]
-    earlier = [_earlier(run.run, each) for run in runs]
+    earlier = [_earlier(run.run, modes(run.run.spec.method), each) for run in runs]
     asked = [trial for trials in [*final, *earlier] for trial in trials]
     played = iter(examiner.play(asked, between))
     at_end = [[row for _ in trials for row in next(played)] for trials in final]
@@ -140,12 +140,14 @@ def _final(finished: FinishedRun, modes: Sequence[Mode], episodes: int) -> list[
     return [Trial(mode, spec, [last], episodes) for mode in modes]
 
 
-def _earlier(run: Run, episodes: int) -> list[Trial]:
+def _earlier(run: Run, modes: Sequence[Mode], episodes: int) -> list[Trial]:
     """The tests of a run's snapshots, which share the episodes of a test."""
-    groups = (
+    groups = [
         run.snapshots[first : first + episodes] for first in range(0, len(run.snapshots), episodes)
-    )
-    return [Trial("autonomous", run.spec, group, episodes // len(group)) for group in groups]
+    ]
+    return [
+        Trial(mode, run.spec, group, episodes // len(group)) for mode in modes for group in groups
+    ]
 
 
 def _with_trained(run: Run, trial: Trial, rows: Sequence[Row]) -> list[Row]:

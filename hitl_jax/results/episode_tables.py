@@ -36,9 +36,9 @@ TEST_COLUMNS = ("mode", "episode", *(measure.name for measure in MEASURES if mea
 """Columns of a run's test episodes: one of `MODES`; its number; and those of the `MEASURES` that
 tests have."""
 
-PROGRESS_COLUMNS = ("trained", *TEST_COLUMNS[1:])
-"""Columns of a run's autonomous test episodes before its end; `trained` counts training episodes
-until then."""
+PROGRESS_COLUMNS = ("trained", *TEST_COLUMNS)
+"""Columns of a run's test episodes before its end; `trained` counts training episodes until
+then."""
 
 _TEXT = {"mode": MODES, "end": ENDS}
 _FLOATS = tuple(measure.name for measure in MEASURES if measure.kind == "number")
@@ -49,7 +49,9 @@ _GREATEST = 1e30
 """Of what is measured: greater numbers are none, and their sums overflow."""
 _LONGEST_CELL = 1000
 _MAY_BE_NAN = tuple(measure.name for measure in MEASURES if measure.may_be_nan)
-_ABSENT = {measure.name: measure.absent for measure in MEASURES if measure.absent is not None}
+_ABSENT: dict[str, Any] = {
+    measure.name: measure.absent for measure in MEASURES if measure.absent is not None
+}
 """Values of columns that came later, in tables that were written without them."""
 
 
@@ -100,12 +102,13 @@ def table_from_csv(text: str, names: tuple[str, ...]) -> Table:
         ValueError: one line saying what is wrong, with the line of the file where there is one.
     """
     header = next(csv.reader(io.StringIO(text)), [])
-    later = [name for name in names if name in _ABSENT and name not in header]
+    absent = _ABSENT | ({"mode": MODES[0]} if names == PROGRESS_COLUMNS else {})
+    later = [name for name in names if name in absent and name not in header]
     columns: dict[str, Any] = dict(
         cells_from_csv(text, tuple(name for name in names if name not in later))
     )
     rows = len(columns[names[0]])
-    return to_table(columns | {name: np.full(rows, _ABSENT[name]) for name in later}, names)
+    return to_table(columns | {name: np.full(rows, absent[name]) for name in later}, names)
 
 
 def rows_to_csv(rows: Iterable[Mapping[str, Any]], names: Sequence[str]) -> str:
@@ -181,7 +184,7 @@ def _require_digits(name: str, cells: Sequence[str]) -> None:
         raise ValueError(f"column {name!r} holds {wrong[:50]!r}: must be a number")
 
 
-def select(table: Table, column: str, value: str) -> Table:
+def select(table: Table, column: str, value: str | int) -> Table:
     """The rows in which `column` is `value`."""
     rows = table[column] == value
     return {name: values[rows] for name, values in table.items()}

@@ -40,11 +40,13 @@ def _run(
     """A run that walks from one episode on, and falls in some of those before."""
     number = np.arange(1, 1001)
     tested = np.repeat(np.arange(50, 1000, 50), 2)
-    progress = dict.fromkeys(PROGRESS_COLUMNS, np.zeros(38)) | {
-        "trained": tested,
-        "episode": [1, 10] * 19,
-        "return": np.where(tested < rises_at, -100.0, test_return),
-        "end": ["goal"] * 38,
+    alone = np.where(tested < rises_at, -100.0, test_return)
+    progress = dict.fromkeys(PROGRESS_COLUMNS, np.zeros(76)) | {
+        "trained": [*tested, *tested],
+        "mode": ["autonomous"] * 38 + ["assisted"] * 38,
+        "episode": [1, 10] * 38,
+        "return": [*alone, *alone + assisted],
+        "end": ["goal"] * 76,
     }
     training = dict.fromkeys(EPISODE_COLUMNS, np.zeros(1000)) | {
         "episode": number,
@@ -121,6 +123,10 @@ def test_all_claims_can_hold():
     assert claims["Help in the test"].measured == (
         "+15.0 [+15.0, +15.0]; above it by more than 1 in 5 of 5 seeds"
     )
+    assert claims["Help in the test, over training"].measured == (
+        "above it at 19 of 19 points; by 15.0 [15.0, 15.0] at least, by 15.0 [15.0, 15.0] at most"
+    )
+    assert claims["Skill with the human's help"].measured.startswith("HITL-AC 327.0 [325.8, 328.2]")
     assert claims["Alarms before falls"].measured == "5 of 10 falls; 0.20 s before it by the median"
     boundary = claims["The boundary (Figure 6)"].measured
     assert "for good from episode 300 on by the median (300 to 300)" in boundary
@@ -129,6 +135,7 @@ def test_all_claims_can_hold():
 def test_skill_over_training_is_over_equal_terrains():
     progress = dict.fromkeys(PROGRESS_COLUMNS, np.zeros(2)) | {
         "trained": [200, 400],
+        "mode": ["autonomous"] * 2,
         "episode": [1, 1],
         "return": [10.0, 250.0],
         "end": ["fall", "goal"],

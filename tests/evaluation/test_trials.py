@@ -66,16 +66,19 @@ def test_snapshots_share_the_walkers_and_are_tested_as_the_end_is():
     ]
     run = FinishedRun(Run(spec, 0, snapshots=snapshots), trained[1], np.float32(0.4))
 
-    def test(walkers):
-        return evaluate_runs(
-            HostExaminer(agent, ToyPool(walkers)), [run], lambda _: ("autonomous",)
-        )
+    def test(walkers, *modes):
+        examiner = HostExaminer(agent, ToyPool(walkers))
+        return evaluate_runs(examiner, [run], lambda _: modes or ("autonomous",))
 
     # Three policies on seven walkers: two episodes each, and one walker stands still.
     [(_, rows)] = test(7)
     assert [(row["trained"], row["episode"]) for row in rows] == [
         *((3, 1), (3, 2), (6, 1), (6, 2), (9, 1), (9, 2)),
     ]
+    [(_, both)] = test(7, "autonomous", "assisted")
+    assert [row["mode"] for row in both] == ["autonomous"] * 6 + ["assisted"] * 6
+    assert repr(both[:6]) == repr(rows)
+    assert [row["trained"] for row in both[6:]] == [row["trained"] for row in rows]
     [(_, one)] = test(1)
     assert [row["trained"] for row in one] == [3, 6, 9]
     [(tested, _)] = test(2)

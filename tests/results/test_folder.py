@@ -72,11 +72,19 @@ def test_a_run_without_tests_is_read_back(folder):
 
 def test_tests_during_training_are_kept_and_may_be_missing(folder):
     tests = make_tests()
-    progress = {name: tests[name] for name in TEST_COLUMNS[1:]} | {"trained": [200, 400]}
+    progress = tests | {"trained": [200, 400]}
     folder.save_run(KEY, make_episodes(), tests, make_params(), make_info(), progress)
-    assert folder.load_run(KEY).progress["trained"].tolist() == [200, 400]
+    kept = folder.load_run(KEY).progress
+    assert kept["trained"].tolist() == [200, 400]
+    assert kept["mode"].tolist() == list(tests["mode"])
+    # Older programs tested autonomously alone, and did not say so; still older ones did not test.
     as_of_format_1(folder.path / "runs/hitl-ac/seed-0003")
-    (folder.path / "runs/hitl-ac/seed-0003/progress.csv").unlink()  # as of an older program
+    file = folder.path / "runs/hitl-ac/seed-0003/progress.csv"
+    rows = [line.split(",") for line in file.read_text().splitlines()]
+    file.write_text("".join(",".join([row[0], *row[2:]]) + "\n" for row in rows))
+    assert rows[0][1] == "mode"
+    assert folder.load_run(KEY).progress["mode"].tolist() == ["autonomous"] * 2
+    file.unlink()
     assert len(folder.load_run(KEY).progress["trained"]) == 0
 
 

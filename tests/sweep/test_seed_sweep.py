@@ -81,7 +81,9 @@ def test_everything_is_written(swept):
         assert run.info["env_steps"] == run.episodes["length"].sum()
         modes = run.tests["mode"].tolist()
         assert modes == ["autonomous"] * 2 + ["assisted"] * (0 if method == "srl" else 2)
-        assert run.progress["trained"].tolist() == [1, 2]
+        num_modes = 1 if method == "srl" else 2
+        assert run.progress["trained"].tolist() == [1, 2] * num_modes
+        assert set(run.progress["mode"]) == set(modes)
         assert {"versions", "commit", "config", "wall_seconds"} <= run.info.keys()
         assert np.isnan(run.episodes["mean_boundary"]).all() == (method == "srl")
         params = folder.load_params(run.key)
