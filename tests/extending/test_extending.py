@@ -46,7 +46,7 @@ _HYPER = paper_hyper(
     warmup_steps=40,
     initial_boundary=0.3,
     extra={"drift": 0.002},
-    human=HumanParams(extra={"ahead": 1.0}),
+    human=HumanParams(delay=0, extra={"ahead": 1.0}),
 )
 
 

@@ -201,7 +201,7 @@ def test_digests_tell_options_and_budgets_apart():
     digests = [
         digest(changed({}), budget),
         digest(changed({"gamma": 0.9}), budget),
-        digest(changed({"delay": 10}), budget),
+        digest(changed({"delay": 5}), budget),
         digest(changed({}), {"episodes": 4}),
     ]
     assert len(set(digests)) == 4
