@@ -97,7 +97,7 @@ def falls(results: ComparedRuns) -> Claim:
         "Falls during training",
         "–",
         "in the environment steps that both took, HITL-AC falls at most "
-        f"{_FEWER_FALLS:.2f} times as often as SRL",
+        f"{_FEWER_FALLS:.2f} times as often as SRL; a reset by the human is no fall",
         f"{own} falls beside {others}, a ratio in [{low:.2f}, {high:.2f}]; {share}",
         verdict,
         results.seeds,
