@@ -9,7 +9,7 @@ from hitl_jax.analysis.verdicts import HOLDS, HOLDS_NOT, UNDECIDED, Claim, in_re
 from hitl_jax.results.episode_tables import METHODS
 from hitl_jax.results.folder import Run
 
-_WALKS = 200.0
+WALKS = 200.0
 """A return that only a walker gets that walks well."""
 _EARLY = 400
 """The paper's episode at which HITL-AC improves."""
@@ -38,7 +38,7 @@ def speed(results: ComparedRuns) -> Claim:
     return Claim(
         "Training speed (Figure 4)",
         "HITL-AC improves near episode 400, HITL-FIX after 500, SRL is very poor for 800",
-        f"the interquartile mean of HITL-AC's trailing-{WINDOW} returns passes {_WALKS:.0f} by "
+        f"the interquartile mean of HITL-AC's trailing-{WINDOW} returns passes {WALKS:.0f} by "
         f"episode {_EARLY}, HITL-FIX's after it, SRL's after both",
         f"episode: {', '.join(reversed(cells))}; {share}",
         verdict,
@@ -54,13 +54,13 @@ def speed_in_steps(results: ComparedRuns) -> Claim:
         steps = np.array([_steps_until_it_walks(run) for run in results.runs[method]])
         medians[method] = stats.median(steps[drawn], 1)
         median = stats.estimate(steps, stats.median)
-        cells.append(_cell(method, [_thousands(end) for end in median[:3]]))
+        cells.append(_cell(method, [thousands(end) for end in median[:3]]))
     earlier = medians["hitl-ac"] < medians["srl"]
     verdict, share = in_resamples(earlier, list(medians.values()))
     return Claim(
         "Training speed over environment steps",
         "–",
-        f"the median step at which a seed's trailing-{WINDOW} return passes {_WALKS:.0f} is "
+        f"the median step at which a seed's trailing-{WINDOW} return passes {WALKS:.0f} is "
         "earlier for HITL-AC than for SRL",
         f"thousands of steps: {', '.join(reversed(cells))}; {share}",
         verdict,
@@ -151,7 +151,7 @@ def _trailing_returns(run: Run) -> np.ndarray:
 
 
 def _steps_until_it_walks(run: Run) -> float:
-    episode = stats.first_passage(_trailing_returns(run), _WALKS, WINDOW)
+    episode = stats.first_passage(_trailing_returns(run), WALKS, WINDOW)
     steps = steps_at(run.episodes, episode)
     return np.inf if steps is None else float(steps)
 
@@ -159,7 +159,7 @@ def _steps_until_it_walks(run: Run) -> float:
 def _passage(curves: np.ndarray) -> float:
     """The episode at which the interquartile mean of curves [S, T] passes; infinite for never."""
     centre = stats.interquartile_mean(curves, 0)
-    episode = stats.first_passage(centre, _WALKS, WINDOW)
+    episode = stats.first_passage(centre, WALKS, WINDOW)
     return np.inf if episode is None else float(episode)
 
 
@@ -172,5 +172,6 @@ def _episode(passage: float) -> str:
     return "never" if np.isinf(passage) else f"{passage:.0f}"
 
 
-def _thousands(steps: float) -> str:
+def thousands(steps: float) -> str:
+    """Environment steps in words; infinite for never."""
     return "never" if np.isinf(steps) else f"{steps / 1000:.0f}"

@@ -1,30 +1,38 @@
-"""Claims about training that no reset can bend: tests and falls over environment steps.
+"""Claims about training over environment steps, which a human's resets make fewer.
 
 A test is autonomous. Runs are compared up to the same number of environment steps, for each seed
-the least that its runs took.
+the least that its runs took. A run that diverged is not among these: from there on its tests count
+as falls at once.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from hitl_jax.analysis import stats
+from hitl_jax.analysis.claims_on_training import WALKS, thousands
 from hitl_jax.analysis.compared_runs import ComparedRuns
 from hitl_jax.analysis.verdicts import SURE_AIM, Claim, in_order, in_resamples
+from hitl_jax.results.episode_measures import FALL_REWARD
 from hitl_jax.results.episode_tables import METHODS
 from hitl_jax.results.folder import Run
 
-_WALKS = 200.0
 _TESTED = 20
 """Test episodes, of one test or of several in a row, whose mean must reach it, at least."""
+_UNTRAINED = FALL_REWARD
+"""The return from which training begins: that of a fall at once."""
+_LONGEST = 0.25
+"""Of the tests, how many in a row may be asked for: more would speak of the end of training."""
 _FEWER_STEPS, _FEWER_FALLS = 1 / 2, 1 / 3
 """Of SRL's, what HITL-AC may take."""
 
 
 def area(results: ComparedRuns) -> Claim | None:
-    """The area under the tests, as one number for the speed of training."""
+    """The area under the tests, as one number for the speed of training; None without tests."""
     tested = results.tested()
     if tested is None:
         return None
-    until = np.min([[_steps(run) for run in results.runs[method]] for method in METHODS], 0)
+    until = _common_steps(results, METHODS)
     scores = {
         method: np.array(
             [
@@ -44,8 +52,9 @@ def area(results: ComparedRuns) -> Claim | None:
     return Claim(
         "Area under the tests",
         "–",
-        "autonomous test return, averaged over the environment steps that all runs of a seed took: "
-        f"the mean over seeds is told; {SURE_AIM}",
+        "autonomous test return, straight between tests and from that of a fall at once before the "
+        "first, averaged over the environment steps that all runs of a seed took: the mean over "
+        f"seeds is told; {SURE_AIM}",
         f"{means}; {sure}",
         verdict,
         results.seeds,
@@ -53,12 +62,14 @@ def area(results: ComparedRuns) -> Claim | None:
 
 
 def steps_until_tested(results: ComparedRuns) -> Claim | None:
-    """The steps until the walker alone walks well."""
+    """The steps until the walker alone walks well; None where too few episodes are tested."""
     tested = results.tested()
     if tested is None:
         return None
-    drawn = results.resampled()
     tests = -(-_TESTED // tested.episodes)
+    if tests > max(_LONGEST * len(tested.points), 1):
+        return None
+    drawn = results.resampled()
     medians, cells = {}, []
     for method in METHODS:
         passages = [
@@ -67,16 +78,16 @@ def steps_until_tested(results: ComparedRuns) -> Claim | None:
         ]
         steps = np.array(passages)
         medians[method] = stats.median(steps[drawn], 1)
-        value, low, high = map(_thousands, stats.estimate(steps, stats.median)[:3])
+        value, low, high = map(thousands, stats.estimate(steps, stats.median)[:3])
         cells.append(f"{method.upper()} {value} [{low}, {high}]")
     few = medians["hitl-ac"] <= _FEWER_STEPS * medians["srl"]
     few &= np.isfinite(medians["hitl-ac"])
     verdict, share = in_resamples(few, list(medians.values()))
     return Claim(
-        f"Steps to a test of {_WALKS:.0f}",
+        f"Steps to a test of {WALKS:.0f}",
         "–",
         f"the median step at which the mean of at least {_TESTED} autonomous test episodes in a "
-        f"row reaches {_WALKS:.0f} is for HITL-AC at most {_FEWER_STEPS:.2g} of SRL's",
+        f"row reaches {WALKS:.0f} is for HITL-AC at most {_FEWER_STEPS:.2g} of SRL's",
         f"thousands of steps: {', '.join(reversed(cells))}; {share}",
         verdict,
         results.seeds,
@@ -85,27 +96,44 @@ def steps_until_tested(results: ComparedRuns) -> Claim | None:
 
 def falls(results: ComparedRuns) -> Claim:
     """Falls while training, up to the same number of steps."""
-    pairs = list(zip(results.runs["hitl-ac"], results.runs["srl"], strict=True))
-    counts = np.array([[_falls(run, min(map(_steps, pair))) for run in pair] for pair in pairs])
-    own, others = counts.sum(0)
-    resampled, srl = counts[results.resampled()].sum(1).T
-    # Where SRL never falls there is nothing to spare.
-    ratio = np.where(srl > 0, resampled / np.maximum(srl, 1), np.nan)
-    low, high = stats.interval_of(ratio)
+    until = _common_steps(results, _PAIR)
+    counts = np.array(
+        [
+            [_falls(run, steps) for run, steps in zip(results.runs[method], until, strict=True)]
+            for method in _PAIR
+        ]
+    )
+    own, srl = counts[:, results.resampled()].sum(2)
+    # Where neither falls there is nothing to compare.
+    ratio = np.divide(own, srl, out=np.where(own > 0, np.inf, np.nan), where=srl > 0)
     verdict, share = in_resamples(ratio <= _FEWER_FALLS, [ratio])
+    few, many = counts.sum(1)
+    value = few / many if many else np.inf
+    low, high = stats.interval_of(ratio)
     return Claim(
         "Falls during training",
         "–",
         "in the environment steps that both took, HITL-AC falls at most "
         f"{_FEWER_FALLS:.2f} times as often as SRL; a reset by the human is no fall",
-        f"{own} falls beside {others}, a ratio in [{low:.2f}, {high:.2f}]; {share}",
+        f"{few} falls beside {many}: {value:.2f} [{low:.2f}, {high:.2f}]; {share}",
         verdict,
         results.seeds,
     )
 
 
-def _steps(run: Run) -> int:
-    return int(run.episodes["env_steps"][-1])
+_PAIR = ("hitl-ac", "srl")
+
+
+def _common_steps(results: ComparedRuns, methods: Sequence[str]) -> np.ndarray:
+    """Of each seed the steps that its runs took, of those that did not diverge the least, [S]."""
+    steps = np.array(
+        [[run.played["env_steps"][-1:].sum() for run in results.runs[method]] for method in methods]
+    )
+    diverged = np.array(
+        [[bool(run.diverged) for run in results.runs[method]] for method in methods]
+    )
+    sound = np.where(diverged & ~diverged.all(0), np.inf, steps)
+    return sound.min(0)
 
 
 def _steps_at(run: Run, points: np.ndarray) -> np.ndarray:
@@ -114,24 +142,21 @@ def _steps_at(run: Run, points: np.ndarray) -> np.ndarray:
     return steps
 
 
-def _area(steps: np.ndarray, returns: np.ndarray, until: int) -> float:
-    """Mean return up to a step, straight between the tests, before the first one as that."""
-    ends = np.unique([0, *steps[steps < until], until])
+def _area(steps: np.ndarray, returns: np.ndarray, until: float) -> float:
+    """Mean return up to a step, straight between an untrained walker and the tests."""
+    steps, returns = np.append(0, steps), np.append(_UNTRAINED, returns)
+    ends = np.unique([*steps[steps < until], until])
     return float(np.trapezoid(np.interp(ends, steps, returns), ends) / until)
 
 
 def _passage(steps: np.ndarray, returns: np.ndarray, tests: int) -> float:
     """The step of the first test that ends so many in a row of a walker; infinite for never."""
-    point = stats.first_passage(stats.trailing_mean(returns, tests), _WALKS, tests)
+    point = stats.first_passage(stats.trailing_mean(returns, tests), WALKS, tests)
     if point is None:
         return np.inf
     return np.nan if np.isnan(point) else float(steps[int(point) - 1])
 
 
-def _falls(run: Run, until: int) -> int:
-    done = run.episodes["env_steps"] <= until
-    return int(run.episodes["fall"][done].sum())
-
-
-def _thousands(steps: float) -> str:
-    return "never" if np.isinf(steps) else f"{steps / 1000:.0f}"
+def _falls(run: Run, until: float) -> int:
+    """Falls in the episodes that were played up to a step."""
+    return int(run.played["fall"][run.played["env_steps"] <= until].sum())

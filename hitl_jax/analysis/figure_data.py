@@ -117,7 +117,7 @@ def load(folder: ResultsFolder, runs: list[Run] | None = None) -> FigureData:
         played = [run.played for run in finished if len(run.played["episode"])] + begun
         tested = [run for run in finished if (run.tests["mode"] == "autonomous").any()]
         often = list(filter(was_tested, tested))
-        helped = [run for run in often if was_tested(run, "assisted")]
+        helped = often if all(was_tested(run, "assisted") for run in often) else []
         if training or tested:
             progress = skill_over_training(often) if often else NOT_TESTED
             assisted = skill_over_training(helped, "assisted") if helped else NOT_TESTED

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_HELPED = (0, (6, 1.5, 1, 1.5, 1, 1.5))
+"""Dashes that no method's curve has."""
+
 _GOLDEN = 0.618033988749895
 """Multiples of it, modulo 1, spread points evenly and look irregular."""
 
@@ -80,12 +83,13 @@ def over_training(data: FigureData) -> Figure | None:
     for m in methods:
         if len(m.assisted.returns):
             centre = stats.interquartile_mean(m.assisted.returns, 0)
-            axes.plot(m.assisted.points, centre, color=COLOURS[m.name], linestyle=":")
+            axes.plot(m.assisted.points, centre, color=COLOURS[m.name], linestyle=_HELPED)
     helped = any(len(m.assisted.returns) for m in methods)
-    others = [line_mark(color=GREY, linestyle=":", label="assisted by the human")] * helped
+    others = [line_mark(color=GREY, linestyle=_HELPED, label="assisted by the human")] * helped
     axes.set(xlabel="training episodes before the test")
     name = "test return" if helped else "autonomous test return"
-    axes.set(ylabel=f"{name}\n(mean of {methods[0].progress.episodes} episodes)")
+    episodes = sorted({m.progress.episodes for m in methods})
+    axes.set(ylabel=f"{name}\n(mean of {' or '.join(map(str, episodes))} episodes)")
     mark_solved(axes, "solved")
     legend(figure, lines, others)
     return figure

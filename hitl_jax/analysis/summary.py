@@ -148,10 +148,11 @@ def skill_over_training(runs: Sequence[Run], mode: str = "autonomous") -> SkillO
         mode: `autonomous` or `assisted`.
     """
     earlier = [select(run.progress, "mode", mode) for run in runs]
-    each = min(int(tests["episode"].max()) for tests in earlier)
     points = np.unique(earlier[0]["trained"])
     for tests in earlier[1:]:
         points = np.intersect1d(points, tests["trained"])
+    tests_at = [select(tests, "trained", point) for tests in earlier for point in points]
+    each = min(int(tests["episode"].max()) for tests in tests_at or earlier)
     returns = [
         [*(_mean(select(tests, "trained", point), each) for point in points), _mean(end, each)]
         for tests, end in zip(

@@ -142,12 +142,11 @@ def _final(finished: FinishedRun, modes: Sequence[Mode], episodes: int) -> list[
 
 def _earlier(run: Run, modes: Sequence[Mode], episodes: int) -> list[Trial]:
     """The tests of a run's snapshots, which share the episodes of a test."""
+    each = max(episodes // max(len(run.snapshots), 1), 1)
     groups = [
         run.snapshots[first : first + episodes] for first in range(0, len(run.snapshots), episodes)
     ]
-    return [
-        Trial(mode, run.spec, group, episodes // len(group)) for mode in modes for group in groups
-    ]
+    return [Trial(mode, run.spec, group, each) for mode in modes for group in groups]
 
 
 def _with_trained(run: Run, trial: Trial, rows: Sequence[Row]) -> list[Row]:

@@ -49,7 +49,7 @@ _FIGURES = {
     "figure4_training": "training return over episodes",
     "figure4_steps": "the same over environment steps",
     "figure5_test": "test episodes",
-    "figure5_progress": "autonomous tests during training",
+    "figure5_progress": "tests during training",
     "figure6_boundary": "the boundary",
     "figure6_moves": "what moved it",
     "figure7_human": "the human's work",
@@ -65,7 +65,7 @@ class _Comparison(NamedTuple):
 
 
 _COMPARISONS = (
-    _Comparison("the defaults", "full"),
+    _Comparison("the defaults, but `--human.delay 0 --episodes 500`", "full"),
     _Comparison("`--preset paper --learner td3-tqc`", "ten_seeds"),
     _Comparison("`--preset paper`", "ten_seeds_ddpg"),
 )

@@ -132,6 +132,7 @@ class SavedFacts(Struct, forbid_unknown_fields=True):
     begun: bool
     diverged: tuple[Text, Count, Count] | None
     recordings: dict[Text, tuple[Positive, Positive]]
+    snapshots: list[Positive] | UnsetType = UNSET
     commits: list[Text] | UnsetType = UNSET
     versions: Versions | UnsetType = UNSET
 

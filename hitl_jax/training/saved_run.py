@@ -17,7 +17,7 @@ from hitl_jax.errors import ResultsError
 from hitl_jax.learner.frame import Layout
 from hitl_jax.results import recorded_episodes
 from hitl_jax.results.run_key import RunKey
-from hitl_jax.training.run_spec import Divergence, Run, Snapshot
+from hitl_jax.training.run_spec import Divergence, Run, RunSpec, Snapshot
 from hitl_jax.types import Behavior
 
 _ANEW = "remove under_way from the results to begin its runs anew"
@@ -109,6 +109,7 @@ def facts_of(run: Run, begun: bool) -> dict[str, Any]:
         "seconds": time.monotonic() - run.started,
         "begun": bool(begun),
         "diverged": run.diverged,
+        "snapshots": [snapshot.episode for snapshot in run.snapshots],
         "recordings": recorded_episodes.index(run.recordings),
         "episodes": list(run.episodes),
         "diagnostics": list(run.diagnostics),
@@ -131,10 +132,22 @@ def restore_record(run: Run, saved: SavedRun, behaviors: Sequence[Behavior]) -> 
     )
     run.started -= facts["seconds"]
     run.diverged = Divergence(*facts["diverged"]) if facts["diverged"] else None
-    due = run.spec.snapshots[: len(saved.snapshots)]
-    run.snapshots = [Snapshot(*one) for one in zip(due, behaviors, saved.boundaries, strict=True)]
+    kept = _kept_at(run.spec, facts, len(saved.snapshots))
+    run.snapshots = [Snapshot(*one) for one in zip(kept, behaviors, saved.boundaries, strict=True)]
+    # A program that keeps others may have saved it: what is past cannot be kept any more.
+    ahead = [point for point in run.spec.snapshots if point > len(run.episodes)]
+    run.spec = dataclasses.replace(run.spec, snapshots=(*kept, *ahead))
     run.recordings = recorded_episodes.split(facts["recordings"], saved.recordings)
     run.done = len(run.episodes) >= run.spec.episodes or run.diverged is not None
+
+
+def _kept_at(spec: RunSpec, facts: Mapping[str, Any], count: int) -> tuple[int, ...]:
+    """Training episodes at which a run's snapshots were kept."""
+    if "snapshots" in facts:
+        return tuple(facts["snapshots"])
+    # Saves that do not tell are of programs that kept them at the fifths of training.
+    points = {spec.episodes * part // 5 for part in range(1, 5)} - {0}
+    return tuple(sorted(points))[:count]
 
 
 def between_episodes(saved: SavedRun, layout: Layout) -> SavedRun:

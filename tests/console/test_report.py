@@ -115,7 +115,7 @@ def test_all_claims_can_hold():
         "so in 100 % of resamples of the seeds"
     )
     assert claims["Falls during training"].measured == (
-        "620 falls beside 2995, a ratio in [0.21, 0.21]; so in 100 % of resamples of the seeds"
+        "620 falls beside 2995: 0.21 [0.21, 0.21]; so in 100 % of resamples of the seeds"
     )
     assert claims["Area under the tests"].measured.endswith(
         "HITL-AC over HITL-FIX 1.00 [1.00, 1.00], HITL-FIX over SRL 1.00 [1.00, 1.00]"
@@ -124,7 +124,7 @@ def test_all_claims_can_hold():
         "+15.0 [+15.0, +15.0]; above it by more than 1 in 5 of 5 seeds"
     )
     assert claims["Help in the test, over training"].measured == (
-        "above it at 19 of 19 points; by 15.0 [15.0, 15.0] at least, by 15.0 [15.0, 15.0] at most"
+        "+15.0 [+15.0, +15.0]; above it at 19 of 19 points, from +15 to +15"
     )
     assert claims["Skill with the human's help"].measured.startswith("HITL-AC 327.0 [325.8, 328.2]")
     assert claims["Alarms before falls"].measured == "5 of 10 falls; 0.20 s before it by the median"
@@ -158,6 +158,42 @@ def test_skill_over_training_is_over_equal_terrains():
     [claim] = [claim for claim in claims if claim.name == "Skill over training"]
     assert "episode 400: HITL-AC 250 [250, 250]" in claim.measured
     assert "the same 1 test episodes" in claim.aim
+
+
+def _diverged(run, episodes):
+    """A run that diverged: from there on its training episodes are falls of one step."""
+    lost = run.episodes["episode"] > episodes
+    steps = np.where(lost, episodes + 0.01 * (run.episodes["episode"] - episodes), 0)
+    table = run.episodes | {
+        "env_steps": np.where(lost, steps, run.episodes["env_steps"]),
+        "fall": np.where(lost, 1, run.episodes["fall"]),
+    }
+    info = run.info | {"diverged": {"quantity": "q", "env_steps": episodes, "episodes": episodes}}
+    return dataclasses.replace(run, info=info, episodes=table)
+
+
+def test_what_a_diverged_run_could_not_play_is_no_fall_and_cuts_no_other_short():
+    runs = {
+        method: [_run(method, seed, rises_at=400, test_return=300.0) for seed in range(5)]
+        for method in ("srl", "hitl-fix", "hitl-ac")
+    }
+    before = {claim.name: claim for claim in judge(runs, 0.45, _BOUNDS)}
+    assert before["Falls during training"].measured.startswith("1995 falls beside 1995: 1.00 [")
+    runs["srl"][0] = _diverged(runs["srl"][0], 200)
+    after = {claim.name: claim for claim in judge(runs, 0.45, _BOUNDS)}
+    assert after["Falls during training"].measured.startswith("1995 falls beside 1796: 1.11 [")
+    own = [claims["Area under the tests"].measured.split(",")[0] for claims in (before, after)]
+    assert own[0] == own[1]
+
+
+def test_too_few_tests_tell_of_no_steps():
+    runs = {
+        method: [_run(method, seed, rises_at=400, test_return=300.0) for seed in range(5)]
+        for method in ("srl", "hitl-fix", "hitl-ac")
+    }
+    for run in [one for of in runs.values() for one in of]:
+        run.progress["episode"][:] = 1
+    assert "Steps to a test of 200" not in [claim.name for claim in judge(runs, 0.45, _BOUNDS)]
 
 
 def test_all_claims_can_fail():

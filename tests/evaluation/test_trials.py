@@ -79,6 +79,9 @@ def test_snapshots_share_the_walkers_and_are_tested_as_the_end_is():
     assert [row["mode"] for row in both] == ["autonomous"] * 6 + ["assisted"] * 6
     assert repr(both[:6]) == repr(rows)
     assert [row["trained"] for row in both[6:]] == [row["trained"] for row in rows]
+    # As many of each policy, also where they do not go into one test.
+    [(_, few)] = test(2)
+    assert [(row["trained"], row["episode"]) for row in few] == [(3, 1), (6, 1), (9, 1)]
     [(_, one)] = test(1)
     assert [row["trained"] for row in one] == [3, 6, 9]
     [(tested, _)] = test(2)

@@ -282,6 +282,8 @@ def test_bad_input_is_one_line(args, said, tmp_path, capsys):
 def test_the_ablations_of_the_boundary_start_from_what_is_kept(name):
     kept = ResultsFolder(pathlib.Path(__file__).parents[2] / "results" / "foresight_120")
     agent, hyper = (section_of(kept, *one) for one in (("agent", AgentConfig), ("hyper", Hyper)))
-    hyper = dataclasses.replace(hyper, human=Hyper().human)  # It has the danger model's numbers.
+    assert hyper.human.delay == 0  # Today's human reacts later.
+    today = hyper.human.replace(delay=Hyper().human.delay, extra={})
+    hyper = dataclasses.replace(hyper, human=today)
     settings = [changed(BASE | setting.changes) for setting in ABLATIONS[name].settings]
     assert (agent, hyper) in [(parts.agent, parts.hyper) for parts in settings]

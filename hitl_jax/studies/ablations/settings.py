@@ -90,7 +90,7 @@ _FORESIGHT: Changes = {
     "boundary_noise": 0.1,
     "boundary_temperature": 10.0,
 }
-"""The defaults, with `ddpg`; as `foresight_120` in results/README.md."""
+"""The defaults, with `ddpg`; as `foresight_120` in results/README.md, but for the delay."""
 
 
 def _without(part: str) -> Setting:
