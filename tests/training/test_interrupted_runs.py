@@ -118,7 +118,7 @@ def test_runs_go_on_bit_for_bit_however_often_they_are_stopped(uninterrupted, tm
 def test_an_intervention_before_the_save_is_paid_for_after_it():
     """Of one save a chunk: with `episode` the feedback comes with the last reward."""
     config = dataclasses.replace(_CONFIG, intervention="penalty", feedback_schedule="episode")
-    hyper = _HYPER.replace(human=HumanParams(lapse_rate=0.8))  # Now and then only.
+    hyper = _HYPER.replace(human=HumanParams(delay=0, lapse_rate=0.8))  # Now and then only.
     spec = RunSpec(Method.HITL_FIX, 0, hyper_for(Method.HITL_FIX, hyper), episodes=8)
     layout = make_agent(config).layout
     frames = np.zeros((0, layout.width), np.float32)
