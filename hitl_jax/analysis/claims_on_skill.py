@@ -11,6 +11,7 @@ from hitl_jax.analysis.verdicts import (
     in_order,
     in_resamples,
     of_sign,
+    told,
 )
 from hitl_jax.results.episode_tables import METHODS, MODES, select
 
@@ -49,20 +50,18 @@ def skill_over_training(results: ComparedRuns) -> Claim | None:
     tested = results.tested()
     if tested is None:
         return None
-    last = len(tested.points) - 1
-    told = []
-    for place in np.unique(np.linspace(0, last, _TOLD).astype(int)):
-        centres = [
-            f"{method.upper()} {stats.estimate(returns[:, place], stats.interquartile_mean):.0f}"
-            for method, returns in reversed(tested.returns.items())
-        ]
-        told.append(f"episode {tested.points[place]}: {', '.join(centres)}")
+    skill = tested[METHODS[0]]
+    cells = []
+    for place in np.unique(np.linspace(0, len(skill.points) - 1, _TOLD).astype(int)):
+        scores = {method: of.returns[:, place] for method, of in tested.items()}
+        centres = told(scores, stats.interquartile_mean, ".0f")
+        cells.append(f"episode {skill.points[place]}: {centres}")
     return Claim(
         "Skill over training",
         "–",
         "reported: interquartile mean of the autonomous test return at points of training, over "
-        f"the same {tested.episodes} test episodes of a run at each",
-        "; ".join(told),
+        f"the same {skill.episodes} test episodes of a run at each",
+        "; ".join(cells),
         "–",
         results.seeds,
     )
@@ -131,15 +130,11 @@ def skill_with_help(results: ComparedRuns) -> Claim:
         for method in METHODS
     }
     verdict, sure = in_order(scores)
-    means = ", ".join(
-        f"{method.upper()} {stats.estimate(scores[method], stats.mean):.1f}"
-        for method in reversed(METHODS)
-    )
     return Claim(
         "Skill with the human's help",
         "its test phase asks for help",
         f"mean test return, SRL's alone: {SURE_AIM}",
-        f"{means}; {sure}",
+        f"{told(scores, stats.mean, '.1f')}; {sure}",
         verdict,
         results.seeds,
     )

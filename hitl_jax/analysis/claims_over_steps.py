@@ -12,19 +12,20 @@ import numpy as np
 from hitl_jax.analysis import stats
 from hitl_jax.analysis.claims_on_training import WALKS, thousands
 from hitl_jax.analysis.compared_runs import ComparedRuns
-from hitl_jax.analysis.verdicts import SURE_AIM, Claim, in_order, in_resamples
+from hitl_jax.analysis.verdicts import SURE_AIM, Claim, in_order, in_resamples, told
 from hitl_jax.results.episode_measures import FALL_REWARD
 from hitl_jax.results.episode_tables import METHODS
 from hitl_jax.results.folder import Run
 
 _TESTED = 20
-"""Test episodes, of one test or of several in a row, whose mean must reach it, at least."""
+"""Test episodes, of one test or of several in a row, at least, whose mean must be a walker's."""
 _UNTRAINED = FALL_REWARD
 """The return from which training begins: that of a fall at once."""
 _LONGEST = 0.25
 """Of the tests, how many in a row may be asked for: more would speak of the end of training."""
 _FEWER_STEPS, _FEWER_FALLS = 1 / 2, 1 / 3
 """Of SRL's, what HITL-AC may take."""
+_PAIR = ("hitl-ac", "srl")
 
 
 def area(results: ComparedRuns) -> Claim | None:
@@ -36,26 +37,22 @@ def area(results: ComparedRuns) -> Claim | None:
     scores = {
         method: np.array(
             [
-                _area(_steps_at(run, tested.points), returns, end)
+                _area(_steps_at(run, skill.points), returns, end)
                 for run, returns, end in zip(
-                    results.runs[method], tested.returns[method], until, strict=True
+                    results.runs[method], skill.returns, until, strict=True
                 )
             ]
         )
-        for method in METHODS
+        for method, skill in tested.items()
     }
     verdict, sure = in_order(scores)
-    means = ", ".join(
-        f"{method.upper()} {stats.estimate(scores[method], stats.mean):.0f}"
-        for method in reversed(METHODS)
-    )
     return Claim(
         "Area under the tests",
         "–",
         "autonomous test return, straight between tests and from that of a fall at once before the "
         "first, averaged over the environment steps that all runs of a seed took: the mean over "
         f"seeds is told; {SURE_AIM}",
-        f"{means}; {sure}",
+        f"{told(scores, stats.mean, '.0f')}; {sure}",
         verdict,
         results.seeds,
     )
@@ -66,15 +63,16 @@ def steps_until_tested(results: ComparedRuns) -> Claim | None:
     tested = results.tested()
     if tested is None:
         return None
-    tests = -(-_TESTED // tested.episodes)
-    if tests > max(_LONGEST * len(tested.points), 1):
+    first = tested[METHODS[0]]
+    tests = -(-_TESTED // first.episodes)
+    if tests > max(_LONGEST * len(first.points), 1):
         return None
     drawn = results.resampled()
     medians, cells = {}, []
-    for method in METHODS:
+    for method, skill in tested.items():
         passages = [
-            _passage(_steps_at(run, tested.points), returns, tests)
-            for run, returns in zip(results.runs[method], tested.returns[method], strict=True)
+            _passage(_steps_at(run, skill.points), returns, tests)
+            for run, returns in zip(results.runs[method], skill.returns, strict=True)
         ]
         steps = np.array(passages)
         medians[method] = stats.median(steps[drawn], 1)
@@ -119,9 +117,6 @@ def falls(results: ComparedRuns) -> Claim:
         verdict,
         results.seeds,
     )
-
-
-_PAIR = ("hitl-ac", "srl")
 
 
 def _common_steps(results: ComparedRuns, methods: Sequence[str]) -> np.ndarray:

@@ -5,23 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hitl_jax.analysis import stats
-from hitl_jax.analysis.summary import skill_over_training, was_tested
+from hitl_jax.analysis.summary import SkillOverTraining, skill_over_training, was_tested
 from hitl_jax.results.episode_tables import METHODS
 from hitl_jax.results.folder import Run
-
-
-class TestedDuringTraining(NamedTuple):
-    """Mean autonomous test returns at the same points of training of all runs, the end last.
-
-    Attributes:
-        points: training episodes until then, [P].
-        returns: of each method, [S, P].
-        episodes: of each test.
-    """
-
-    points: np.ndarray
-    returns: dict[str, np.ndarray]
-    episodes: int
 
 
 class ComparedRuns(NamedTuple):
@@ -46,12 +32,11 @@ class ComparedRuns(NamedTuple):
         """Indices of seeds drawn with replacement, the same for all methods, [resamples, S]."""
         return stats.resampled_seeds(self.seeds)
 
-    def tested(self) -> TestedDuringTraining | None:
-        """The tests during training; None where a run has none."""
+    def tested(self) -> dict[str, SkillOverTraining] | None:
+        """The autonomous tests of each method, at the same points; None where a run has none."""
         runs = [run for method in METHODS for run in self.runs[method]]
         if not all(map(was_tested, runs)):
             return None
         skill = skill_over_training(runs)
-        returns = np.split(skill.returns, len(METHODS))
-        by_method = dict(zip(METHODS, returns, strict=True))
-        return TestedDuringTraining(skill.points, by_method, skill.episodes)
+        parts = zip(METHODS, np.split(skill.returns, len(METHODS)), strict=True)
+        return {method: skill._replace(returns=returns) for method, returns in parts}

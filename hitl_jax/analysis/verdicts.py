@@ -14,6 +14,15 @@ from hitl_jax.analysis import stats
 MARGIN = 10.0
 """Points of return that do not matter."""
 
+SURE = 0.8
+"""Probability of improvement from which a method is called better."""
+
+SURE_AIM = (
+    f"probability of improvement, paired by seed, at least {SURE} for each step, its interval "
+    "above 0.5"
+)
+"""What `in_order` asks for, in words."""
+
 HOLDS, HOLDS_NOT, UNDECIDED = "holds", "does not hold", "not decided"
 
 
@@ -65,16 +74,6 @@ def verdict_of(share: float) -> str:
     return HOLDS if share >= 0.975 else HOLDS_NOT if share <= 0.025 else UNDECIDED
 
 
-SURE = 0.8
-"""Probability of improvement from which a method is called better."""
-
-SURE_AIM = (
-    f"probability of improvement, paired by seed, at least {SURE} for each step, its interval "
-    "above 0.5"
-)
-"""What `in_order` asks for, in words."""
-
-
 def in_order(scores: Mapping[str, np.ndarray]) -> tuple[str, str]:
     """The verdict on "HITL-AC above HITL-FIX above SRL", and how sure each step is, in words.
 
@@ -90,6 +89,19 @@ def in_order(scores: Mapping[str, np.ndarray]) -> tuple[str, str]:
         else:
             verdicts.append(HOLDS_NOT if p.high < SURE else UNDECIDED)
     return least(verdicts), ", ".join(cells)
+
+
+def told(scores: Mapping[str, np.ndarray], statistic: stats.Statistic, spec: str) -> str:
+    """A statistic of each method with its interval, in words, the last method first.
+
+    Args:
+        scores: of each method, one for each seed, [S].
+        statistic: over seeds.
+        spec: format of its numbers.
+    """
+    estimates = {method: stats.estimate(values, statistic) for method, values in scores.items()}
+    cells = [f"{method.upper()} {value:{spec}}" for method, value in estimates.items()]
+    return ", ".join(reversed(cells))
 
 
 def least(verdicts: Sequence[str]) -> str:
