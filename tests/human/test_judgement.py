@@ -288,20 +288,13 @@ def _alone(part, params, angles, key):
 
 
 class TestParams:
-    def test_the_defaults_are_right_after_a_reaction_time(self):
-        params = HumanParams()
+    @pytest.mark.parametrize(("params", "late"), [(HumanParams(), 10), (AT_ONCE, 0)])
+    def test_the_defaults_are_right_after_a_reaction_time(self, params, late):
         human.validate_human_params(params)
         angles = jax.random.normal(KEY, (200,))
         judged = run_part(SIMULATED, params, KEY, 200, angles)
-        np.testing.assert_array_equal(judged[10:], np.abs(angles)[:-10] >= 0.45)
-        assert not judged[:10].any()
-
-    def test_who_judges_at_once_is_perfect(self):
-        params = AT_ONCE
-        human.validate_human_params(params)
-        angles = jax.random.normal(KEY, (200,))
-        judged = run_part(SIMULATED, params, KEY, 200, angles)
-        np.testing.assert_array_equal(judged, np.abs(angles) >= 0.45)
+        np.testing.assert_array_equal(judged[late:], np.abs(angles)[: 200 - late] >= 0.45)
+        assert not judged[:late].any()
 
     @pytest.mark.parametrize(
         ("name", "value"),
