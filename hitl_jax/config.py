@@ -46,6 +46,7 @@ from hitl_jax.human import (
 from hitl_jax.human.actions import ACTION_SOURCES
 from hitl_jax.human.indicator import INDICATORS
 from hitl_jax.learner.algorithms import LEARNERS
+from hitl_jax.learner.human_data import HUMAN_DATA
 from hitl_jax.learner.task_learner import TaskLearner
 from hitl_jax.xla.dense_product import MATMUL_PRECISIONS
 
@@ -91,6 +92,7 @@ class AgentConfig:
         matmul_precision: how the task learner multiplies between hidden layers: `float32`, or
             `bfloat16`, which is faster on CPUs with AVX512-BF16 and may end a little lower. Sums,
             parameters and acting stay float32.
+        human_data: what the task learner makes of the human's steps:
         batch_size: transitions in a minibatch of the task learner.
         n_step: steps of reward before the bootstrap.
         boundary_source: how line 6 and line 8 of Algorithm 1 meet:
@@ -118,6 +120,7 @@ class AgentConfig:
     hidden_sizes: tuple[int, ...] = checked_by((128, 128), _require_layers)
     layer_norm: bool = flag(True)
     matmul_precision: str = among("float32", MATMUL_PRECISIONS)
+    human_data: str = choice("transitions", HUMAN_DATA)
     batch_size: int = whole(64, 1, _MOST_UNITS)
     n_step: int = whole(4, 1, _MOST_UNITS)
     boundary_source: str = choice("network", SOURCES)

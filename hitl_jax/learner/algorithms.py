@@ -7,6 +7,7 @@ import chex
 from hitl_jax.choices.registry import Registry, having
 from hitl_jax.learner import losses
 from hitl_jax.learner.deterministic import DeterministicActorCritic
+from hitl_jax.learner.human_data import HUMAN_DATA
 from hitl_jax.learner.task_learner import NEEDS, Sizes, TaskLearner, require_usable
 
 LEARNERS: Registry[TaskLearner] = Registry(
@@ -22,6 +23,7 @@ def _deterministic(config: Sizes, **choices: Any) -> DeterministicActorCritic:
         hidden_sizes=config.hidden_sizes,
         layer_norm=config.layer_norm,
         matmul_precision=config.matmul_precision,
+        human_data=HUMAN_DATA.make(config.human_data),
         **choices,
     )
 

@@ -11,6 +11,7 @@ import optax
 
 from hitl_jax.choices.options import Option
 from hitl_jax.learner import adam, losses, networks
+from hitl_jax.learner.human_data import Drawn, HumanData
 from hitl_jax.types import LearnerState, Params, Transition
 
 
@@ -31,7 +32,7 @@ class DeterministicActorCritic:
         critic_loss: what the critics minimise; see `losses.critic_loss`.
         num_quantiles: Q, how many quantiles of the return a critic answers with, [E, B, Q]; None
             where it answers with the mean, [E, B].
-        options: traced numbers of its own; none, its numbers are fields of `Hyper`.
+        human_data: what it makes of the human's steps.
     """
 
     observation_size: int
@@ -45,7 +46,12 @@ class DeterministicActorCritic:
     target: Callable[[chex.Array, chex.Array, chex.Array], Any]
     critic_loss: Callable[..., tuple[chex.Array, losses.Metrics]]
     num_quantiles: int | None = None
-    options: tuple[Option, ...] = ()
+    human_data: HumanData = Drawn()
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """Of what it makes of the human's steps; its other numbers are fields of `Hyper`."""
+        return self.human_data.options
 
     @property
     def noise_size(self) -> int:
@@ -143,8 +149,8 @@ class DeterministicActorCritic:
         metrics = metrics | {"critic_gradient_norm": optax.tree.norm(grads)}
         if not last:
             return state, metrics
-        grads, actor_metrics = jax.grad(losses.actor_loss, has_aux=True)(
-            state.actor, self.actor.apply, self.first_critic.apply, critic, batch.observation
+        grads, actor_metrics = jax.grad(self._actor_loss, has_aux=True)(
+            state.actor, hyper, critic, batch
         )
         actor, actor_optimizer = adam.descend(
             state.actor, grads, state.actor_optimizer, hyper.actor_learning_rate
@@ -158,3 +164,16 @@ class DeterministicActorCritic:
             target_critic=optax.incremental_update(critic, state.target_critic, step),
         )
         return state, metrics | actor_metrics | {"actor_gradient_norm": optax.tree.norm(grads)}
+
+    def _actor_loss(
+        self, actor: Params, hyper: Any, critic: Params, batch: Transition
+    ) -> tuple[chex.Array, losses.Metrics]:
+        """The policy gradient's loss, and what is made of the human's steps."""
+        apply = self.actor.apply
+        loss, metrics = losses.actor_loss(
+            actor, apply, self.first_critic.apply, critic, batch.observation
+        )
+        if not self.human_data.changes_actor:
+            return loss, metrics
+        of_human = self.human_data.actor_loss(hyper.extra, apply(actor, batch.observation), batch)
+        return loss + of_human, metrics | {"human_data_loss": of_human}

@@ -24,6 +24,12 @@ from flax import struct
 from hitl_jax.learner.frame import CUT_OFF, FALL, Layout
 from hitl_jax.types import BoundaryTransition, Outcome, Transition
 
+_OF_HUMAN = 2
+"""What a key is folded with to seek the human's steps, so that the other draws stay as they are."""
+
+_TRIES = 16
+"""Draws for each start that is to be the human's step."""
+
 _DRAWS = 2
 """Draws for each start. Frames that are final are passed over; the chance that all draws are final
 is (episodes / frames)^2, and then the step beside the final frame is taken."""
@@ -145,6 +151,8 @@ def draw(
     batch_size: int,
     n_step: int,
     gamma: chex.Array,
+    human_share: float = 0.0,
+    num_batches: int = 1,
 ) -> Draw:
     """Draws n-step transitions of one run, uniformly with replacement.
 
@@ -157,15 +165,23 @@ def draw(
         layout: its columns.
         column: the run's column, [].
         key: consumed.
-        batch_size: B.
+        batch_size: B, of all minibatches together.
         n_step: n.
         gamma: γ, [].
+        human_share: static; of each minibatch, what is sought among the human's steps.
+        num_batches: static; how many minibatches are drawn, one after another.
 
     Returns:
         Draws, leaves [B].
     """
     capacity, gamma = replay.seen.shape[1], jnp.asarray(gamma, jnp.float32)
     begin = starts(replay, layout, column, key, batch_size, n_step)
+    if human_share:
+        sought = round(human_share * (batch_size // num_batches))
+        human_key, size = jax.random.fold_in(key, _OF_HUMAN), num_batches * sought
+        found = _human_starts(replay, layout, column, human_key, size, n_step)
+        rows = begin.reshape(num_batches, -1)
+        begin = rows.at[:, :sought].set(found.reshape(num_batches, sought)).reshape(-1)
     window = (begin[:, None] + jnp.arange(n_step, dtype=jnp.int32)) % capacity
     reward, terminated, truncated = (
         replay.outcome[column, window, index - layout.reward]
@@ -200,7 +216,18 @@ def read(replay: Replay, layout: Layout, column: chex.Array, drawn: Draw) -> Tra
         reward=drawn.reward,
         discount=drawn.discount,
         next_observation=replay.seen[column, drawn.after, layout.observation],
+        human=is_human(replay, layout, column, drawn.start).astype(jnp.float32),
     )
+
+
+def is_human(replay: Replay, layout: Layout, column: chex.Array, frames: chex.Array) -> chex.Array:
+    """Whether the human took the step of a frame and the episode went on, bool [...]."""
+    places = frames % replay.seen.shape[1]
+    event, terminated, truncated = (
+        replay.outcome[column, places, index - layout.reward]
+        for index in (layout.event, layout.terminated, layout.truncated)
+    )
+    return (event == CUT_OFF) & (terminated + truncated == 0.0)
 
 
 def sample_boundary(
@@ -309,3 +336,18 @@ def starts(
     still_final = jnp.take_along_axis(final, chosen[None], axis=0)[0]
     beside = jnp.where(begin > 0, begin - 1, 1)  # The first frame of all has none before it.
     return oldest + jnp.where(still_final, beside, begin)
+
+
+def _human_starts(
+    replay: Replay,
+    layout: Layout,
+    column: chex.Array,
+    key: chex.PRNGKey,
+    batch_size: int,
+    n_step: int,
+) -> chex.Array:
+    """As `starts`, each the first of 16 draws that is the human's step, or, if none is, any."""
+    begin = starts(replay, layout, column, key, _TRIES * batch_size, n_step)
+    begin = begin.reshape(_TRIES, batch_size)
+    first = jnp.argmax(is_human(replay, layout, column, begin), axis=0)
+    return jnp.take_along_axis(begin, first[None], axis=0)[0]

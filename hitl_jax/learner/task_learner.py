@@ -38,6 +38,10 @@ class Sizes(Protocol):
     def matmul_precision(self) -> str:
         """Of products between hidden layers."""
 
+    @property
+    def human_data(self) -> str:
+        """What is made of the human's steps, a name in `human_data.HUMAN_DATA`."""
+
 
 class TaskLearner(Protocol):
     """Learns the task from transitions: pure functions for one run, which the caller vmaps.

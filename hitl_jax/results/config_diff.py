@@ -17,6 +17,7 @@ CAME_LATER: dict[str, dict[str, Any]] = {
         "matmul_precision": "float32",
         "human_parts": ["delay", "mistakes", "lapses", "attention"],
         "human_actions": "scripted",
+        "human_data": "transitions",
         "boundary_learner": "printed",
         "margin_parts": [
             *("heavy_tails", "often", "two_critics", "targets"),

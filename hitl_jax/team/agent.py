@@ -90,6 +90,7 @@ def make_agent(
         release=RELEASES.make(chosen["release"]),
     )
     _require_sizes(agent)
+    _require_looked_at(agent)
     require_runs(
         agent,
         {
@@ -133,6 +134,14 @@ def _require_sizes(agent: Agent) -> None:
                     f"must be {has} with this {part}; choose another, or give `make_agent` one of "
                     "your own",
                 )
+
+
+def _require_looked_at(agent: Agent) -> None:
+    """Refuses a use of human steps that changes the actor where the learner does not ask for it."""
+    chosen = agent.human_data
+    if chosen.changes_actor and getattr(agent.learner, "human_data", None) != chosen:
+        why = "the task learner does not look at it: must be one that only draws, as `half`"
+        raise InvalidValue("human_data", agent.config.human_data, why)
 
 
 def validate(agent: Agent, hyper: Hyper) -> None:
@@ -298,7 +307,15 @@ def _learn_task(
     # Everything random is drawn at once: a generator is many small kernels, whatever it draws. Rows
     # are read in the loop: read at once, XLA would find their places anew for every number.
     drawn = replay.draw(
-        memory, agent.layout, column, sample_key, groups * rows, config.n_step, hyper.gamma
+        memory,
+        agent.layout,
+        column,
+        sample_key,
+        groups * rows,
+        config.n_step,
+        hyper.gamma,
+        human_share=agent.human_data.share,
+        num_batches=groups * learner.policy_delay,
     )
     drawn = jax.tree.map(lambda leaf: leaf.reshape(groups, rows), drawn)
     # Long rows: XLA works along the last axis.

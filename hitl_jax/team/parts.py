@@ -17,6 +17,7 @@ from hitl_jax.human.actions import ActionSource
 from hitl_jax.human.indicator import Indicator, does_see_risk
 from hitl_jax.learner import replay
 from hitl_jax.learner.frame import Layout
+from hitl_jax.learner.human_data import HUMAN_DATA, HumanData
 from hitl_jax.learner.task_learner import TaskLearner
 from hitl_jax.risk import RiskLearner
 from hitl_jax.types import Behavior, BoundaryTransition, TrainState
@@ -46,6 +47,11 @@ class Agent(NamedTuple):
     boundary_learner: BoundaryLearner
     intervention: Intervention
     release: Release
+
+    @property
+    def human_data(self) -> HumanData:
+        """What the task learner makes of the human's steps."""
+        return HUMAN_DATA.make(self.config.human_data)
 
     @property
     def executes_actor(self) -> bool:

@@ -12,6 +12,7 @@ from hitl_jax.human.caller_state import form
 from hitl_jax.learner.task_learner import TaskLearner
 from hitl_jax.team.array_names import by_name
 from hitl_jax.team.diagnostics import SAMPLE, require_metrics
+from hitl_jax.team.parts import Agent
 from hitl_jax.team.trial_shapes import Blamed, Given, Sizes, floats, given_of
 from hitl_jax.types import Transition
 from hitl_jax.xla.pytree_words import pack
@@ -108,6 +109,16 @@ def _improve(
     return metrics
 
 
+def try_human_data(agent: Agent, given: Given) -> None:
+    """Tries what is made of the human's steps; see `state_of_learner`."""
+    chosen, rows = agent.human_data, agent.config.batch_size
+    if chosen.changes_actor:
+        blamed = Blamed("human_data", agent.config.human_data)
+        action = floats(rows, *given.noise.shape)
+        loss = blamed.shapes(chosen.actor_loss, given.hyper.extra, action, _batch(given, rows))
+        blamed.require(loss, "one number")
+
+
 def _batch(given: Given, rows: int) -> Transition:
     seen = floats(rows, *given.seen.shape)
     return Transition(
@@ -116,4 +127,5 @@ def _batch(given: Given, rows: int) -> Transition:
         reward=floats(rows),
         discount=floats(rows),
         next_observation=seen,
+        human=floats(rows),
     )

@@ -1,0 +1,146 @@
+"""What the task learner makes of the steps that the human took, by name.
+
+A step in human hands is a transition as any other: its reward and what came of it are learned from
+whoever acted. Beyond that a learner can draw such steps more often, and imitate the human.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Protocol
+
+import chex
+import jax.numpy as jnp
+
+from hitl_jax.choices.checks import require
+from hitl_jax.choices.options import Option, options_of
+from hitl_jax.choices.registry import Registry, having
+from hitl_jax.types import Transition
+
+WEIGHT = "imitation_weight"
+"""Name of the option, in `Hyper.extra`."""
+
+
+class HumanData(Protocol):
+    """What is made of human steps; an object must be hashable, as a frozen dataclass is.
+
+    Attributes:
+        share: of each minibatch, what is sought among the human's steps, 0 to 1. Where too few are
+            found, others take their place.
+        changes_actor: whether `actor_loss` is asked.
+        options: traced numbers of its own; they are in `hyper.extra`, by name.
+    """
+
+    def __hash__(self) -> int: ...
+
+    @property
+    def share(self) -> float:
+        """See above."""
+
+    @property
+    def changes_actor(self) -> bool:
+        """See above."""
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """See above."""
+
+    def actor_loss(
+        self, extra: Mapping[str, chex.Array], action: chex.Array, batch: Transition
+    ) -> chex.Array:
+        """What the actor descends beside its own loss, [].
+
+        Args:
+            extra: the run's numbers of the choices' own, by name, each [].
+            action: μ(s) of the minibatch, [B, A].
+            batch: leading axis B, with `human`.
+        """
+
+
+def _require_usable(choice: HumanData) -> None:
+    """Checks what a choice says of itself; InvalidValue is one line."""
+    require("share", choice.share, 0.0, 1.0)
+    options_of(choice)
+
+
+HUMAN_DATA: Registry[HumanData] = Registry(
+    "use of human steps",
+    "human_data",
+    having("share", "changes_actor", "options", "actor_loss"),
+    require=_require_usable,
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Drawn:
+    """Human steps are drawn, at least as often as a share says, and not imitated.
+
+    Attributes:
+        share: see `HumanData`.
+        changes_actor: it does not.
+        options: none.
+    """
+
+    share: float = 0.0
+    changes_actor: bool = False
+    options: tuple[Option, ...] = ()
+
+    def actor_loss(
+        self, extra: Mapping[str, chex.Array], action: chex.Array, batch: Transition
+    ) -> chex.Array:
+        """0."""
+        del extra, action, batch
+        return jnp.zeros((), jnp.float32)
+
+
+@dataclasses.dataclass(frozen=True)
+class Imitated:
+    """The actor is also pulled to what the human did, where the human acted.
+
+    Attributes:
+        share: see `HumanData`.
+        changes_actor: it does.
+        options: the pull.
+    """
+
+    share: float = 0.0
+    changes_actor: bool = True
+    options: tuple[Option, ...] = (
+        Option(WEIGHT, 10.0, "what a squared distance of 1 from a^h costs the actor", "1", 0.0),
+    )
+
+    def actor_loss(
+        self, extra: Mapping[str, chex.Array], action: chex.Array, batch: Transition
+    ) -> chex.Array:
+        """The weight times the mean over the minibatch of |μ(s) - a^h|², 0 at other steps, []."""
+        assert batch.human is not None
+        chex.assert_equal_shape([action, batch.action])
+        distance = jnp.sum(jnp.square(action - batch.action), axis=-1)
+        return extra[WEIGHT] * jnp.mean(batch.human * distance)
+
+
+@HUMAN_DATA.register("transitions", "they are transitions as any other")
+def transitions() -> HumanData:
+    """Nothing is made of them."""
+    return Drawn()
+
+
+@HUMAN_DATA.register("half", "half of each minibatch is drawn from them")
+def half() -> HumanData:
+    """As RLPD (https://arxiv.org/abs/2302.02948) and HIL-SERL (https://arxiv.org/abs/2410.21845)."""
+    return Drawn(share=0.5)
+
+
+@HUMAN_DATA.register("imitation", "the actor is pulled to the human's actions")
+def imitation() -> HumanData:
+    """A behaviour-cloning term beside the value.
+
+    As in https://arxiv.org/abs/1709.10089, without its filter, and TD3+BC
+    (https://arxiv.org/abs/2106.06860), on the human's steps alone.
+    """
+    return Imitated()
+
+
+@HUMAN_DATA.register("half-imitation", "both of these")
+def half_imitation() -> HumanData:
+    """`half` and `imitation`."""
+    return Imitated(share=0.5)

@@ -1,0 +1,138 @@
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.errors import InvalidValue
+from hitl_jax.learner import frame, replay
+from hitl_jax.learner.human_data import HUMAN_DATA, WEIGHT, Drawn
+from hitl_jax.team import agent as agents
+from hitl_jax.types import Transition
+
+_LAYOUT = frame.Layout(observation_size=1, action_size=1)
+
+
+def _memory(count, human=(), **ended):
+    """A ring of one run whose observation is the frame's number."""
+    frames, numbers = np.zeros((1, count, _LAYOUT.width), np.float32), np.arange(count)
+    frames[0, :, 0] = numbers
+    frames[0, :, _LAYOUT.event] = frame.CUT_OFF * np.isin(numbers, human)
+    for column, where in ended.items():
+        frames[0, :, getattr(_LAYOUT, column)] = np.isin(numbers, where)
+    return replay.add(replay.init(count, 1, _LAYOUT), jnp.asarray(frames))
+
+
+def _draw(memory, batch=64, **more):
+    drawn = replay.draw(memory, _LAYOUT, 0, jax.random.key(3), batch, 1, 0.9, **more)
+    return replay.read(memory, _LAYOUT, 0, drawn)
+
+
+def _batch(rows=8, seed=0):
+    rng = np.random.default_rng(seed)
+    return Transition(
+        observation=jnp.asarray(rng.normal(size=(rows, 24)), jnp.float32),
+        action=jnp.asarray(rng.uniform(-1, 1, (rows, 4)), jnp.float32),
+        reward=jnp.zeros(rows),
+        discount=jnp.zeros(rows),
+        next_observation=jnp.zeros((rows, 24)),
+        human=jnp.asarray(np.arange(rows) % 2, jnp.float32),
+    )
+
+
+def test_a_human_step_is_one_that_the_human_took_within_an_episode():
+    memory = _memory(8, human=(2, 3, 4, 6), terminated=(4,), truncated=(6,), final=(5, 7))
+    told = replay.is_human(memory, _LAYOUT, 0, jnp.arange(8))
+    assert np.flatnonzero(told).tolist() == [2, 3]
+
+
+@pytest.mark.parametrize("batches", [1, 4])
+def test_half_of_each_minibatch_is_the_humans_where_some_is_found(batches):
+    memory = _memory(512, human=range(0, 512, 4))
+    batch = _draw(memory, 256, human_share=0.5, num_batches=batches)
+    by_batch = np.asarray(batch.human).reshape(batches, -1)
+    half = by_batch.shape[1] // 2
+    # A quarter of the steps are the human's: 16 draws miss them all once in a hundred times.
+    assert by_batch[:, :half].mean() > 0.95
+    assert 0.1 < by_batch[:, half:].mean() < 0.4
+    np.testing.assert_array_equal(batch.human, np.asarray(batch.observation[:, 0]) % 4 == 0)
+
+
+def test_without_human_steps_others_take_their_place():
+    memory = _memory(64, final=(10, 20))
+    batch = _draw(memory, 256, human_share=0.5)
+    assert not np.asarray(batch.human).any()
+    assert not np.isin(batch.observation, (10, 20)).any()
+
+
+def test_what_is_not_sought_is_drawn_as_before():
+    memory = _memory(64, human=range(32))
+    plain, half = _draw(memory), _draw(memory, human_share=0.5)
+    np.testing.assert_array_equal(plain.observation[32:], half.observation[32:])
+
+
+def test_imitation_by_hand():
+    batch, action = _batch(), jnp.zeros((8, 4))
+    loss = HUMAN_DATA.make("imitation").actor_loss({WEIGHT: jnp.float32(3.0)}, action, batch)
+    np.testing.assert_allclose(loss, 3.0 * np.square(batch.action[1::2]).sum() / 8, rtol=1e-6)
+
+
+@pytest.mark.parametrize("learner", ["ddpg", "td3", "td3-tqc"])
+def test_the_actor_comes_to_do_what_the_human_did(learner):
+    """In the states in which the human acted, and there alone, with a pull beside the value."""
+
+    def distance(name):
+        config = AgentConfig(learner=learner, human_data=name, hidden_sizes=(32, 32))
+        agent, batch = agents.make_agent(config), _batch()
+        hyper = hyper_for(Method.HITL_AC, Hyper(extra={WEIGHT: 100.0} if "im" in name else {}))
+        state = agents.init(agent, jax.random.key(0))
+        noise = jnp.zeros((8, agent.learner.noise_size))
+        step = jax.jit(lambda state: agents.update(agent, hyper, state, batch, noise)[0])
+        for _ in range(300):
+            state = step(state)
+        action = agent.learner.actor.apply(state.learner.actor, batch.observation)
+        away = np.square(np.asarray(action - batch.action)).sum(axis=1)
+        return away[1::2].mean(), away[::2].mean()
+
+    of_human, of_machine = distance("imitation")
+    assert of_human < 0.05 < of_machine
+    assert distance("half")[0] > 0.5
+
+
+def test_a_learner_that_does_not_look_at_it_is_refused():
+    @dataclasses.dataclass(frozen=True)
+    class Deaf:
+        inner: object
+
+        def __getattr__(self, name):
+            if name in ("human_data", "inner") or name.startswith("__"):
+                raise AttributeError(name)
+            return getattr(self.inner, name)
+
+    deaf = Deaf(AgentConfig().task_learner)
+    agents.make_agent(AgentConfig(human_data="half"), learner=deaf)
+    with pytest.raises(InvalidValue, match="human_data imitation: the task learner does not look"):
+        agents.make_agent(AgentConfig(human_data="imitation"), learner=deaf)
+
+
+@pytest.mark.parametrize("share", [1.5, -0.1, None, float("nan")])
+def test_a_share_that_is_none_is_refused(share):
+    with pytest.raises(InvalidValue, match="share"):
+        HUMAN_DATA.require(Drawn(share=share), "mine", "human_data")
+
+
+@dataclasses.dataclass(frozen=True)
+class Wrong(Drawn):
+    """One of a user's own, whose loss is no number."""
+
+    changes_actor: bool = True
+
+    def actor_loss(self, extra, action, batch):
+        return jnp.zeros(3)
+
+
+def test_one_of_ones_own_that_gives_no_number_is_refused():
+    with pytest.raises(InvalidValue, match=f"human_data {__name__}:Wrong: .*one number"):
+        agents.make_agent(AgentConfig(human_data=f"{__name__}:Wrong"))
