@@ -120,7 +120,7 @@ class AgentConfig:
     hidden_sizes: tuple[int, ...] = checked_by((128, 128), _require_layers)
     layer_norm: bool = flag(True)
     matmul_precision: str = among("float32", MATMUL_PRECISIONS)
-    human_data: str = choice("transitions", HUMAN_DATA)
+    human_data: str = choice("imitation", HUMAN_DATA)
     batch_size: int = whole(64, 1, _MOST_UNITS)
     n_step: int = whole(4, 1, _MOST_UNITS)
     boundary_source: str = choice("network", SOURCES)

@@ -6,6 +6,7 @@ from hitl_jax.sweep.changes import Changes
 
 PAPER: Changes = {
     "learner": "ddpg",
+    "human_data": "transitions",
     "noise_free_every": 4,
     "unattended_every": 0,
     "boundary_source": "rule",

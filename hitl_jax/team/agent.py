@@ -140,7 +140,7 @@ def _require_looked_at(agent: Agent) -> None:
     """Refuses a use of human steps that changes the actor where the learner does not ask for it."""
     chosen = agent.human_data
     if chosen.changes_actor and getattr(agent.learner, "human_data", None) != chosen:
-        why = "the task learner does not look at it: must be one that only draws, as `half`"
+        why = "this task learner does not look at it: must be `transitions` or `half`"
         raise InvalidValue("human_data", agent.config.human_data, why)
 
 

@@ -113,7 +113,7 @@ def test_a_learner_that_does_not_look_at_it_is_refused():
 
     deaf = Deaf(AgentConfig().task_learner)
     agents.make_agent(AgentConfig(human_data="half"), learner=deaf)
-    with pytest.raises(InvalidValue, match="human_data imitation: the task learner does not look"):
+    with pytest.raises(InvalidValue, match="human_data imitation: this task learner does not look"):
         agents.make_agent(AgentConfig(human_data="imitation"), learner=deaf)
 
 

@@ -90,7 +90,8 @@ _FORESIGHT: Changes = {
     "boundary_noise": 0.1,
     "boundary_temperature": 10.0,
 }
-"""The defaults, with `ddpg`; as `foresight_120` in results/README.md, but for the delay."""
+"""The defaults, but `ddpg` and human steps as any other; `foresight_120` in results/README.md, but
+for the delay."""
 
 
 def _without(part: str) -> Setting:
