@@ -52,7 +52,7 @@ class HumanData(Protocol):
         Args:
             extra: the run's numbers of the choices' own, by name, each [].
             action: μ(s) of the minibatch, [B, A].
-            batch: leading axis B, with `human`.
+            batch: leading axis B.
         """
 
 
@@ -112,7 +112,8 @@ class Imitated:
         self, extra: Mapping[str, chex.Array], action: chex.Array, batch: Transition
     ) -> chex.Array:
         """The weight times the mean over the minibatch of |μ(s) - a^h|², 0 at other steps, []."""
-        assert batch.human is not None
+        if batch.human is None:
+            return jnp.zeros((), jnp.float32)
         chex.assert_equal_shape([action, batch.action])
         distance = jnp.sum(jnp.square(action - batch.action), axis=-1)
         return extra[WEIGHT] * jnp.mean(batch.human * distance)

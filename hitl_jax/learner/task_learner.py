@@ -55,6 +55,9 @@ class TaskLearner(Protocol):
         noise_size: standard normal numbers that `targets` and `improve` are given for each
             transition of a minibatch.
         options: traced numbers of its own; they are in `hyper.extra`, by name.
+
+    One that asks `config.human_data` what to make of the human's steps says so by an attribute
+    `human_data`, that choice; else choices that change the actor are refused beside it.
     """
 
     def __hash__(self) -> int: ...

@@ -136,3 +136,9 @@ class Wrong(Drawn):
 def test_one_of_ones_own_that_gives_no_number_is_refused():
     with pytest.raises(InvalidValue, match=f"human_data {__name__}:Wrong: .*one number"):
         agents.make_agent(AgentConfig(human_data=f"{__name__}:Wrong"))
+
+
+def test_transitions_of_ones_own_need_not_say_who_acted():
+    batch = dataclasses.replace(_batch(), human=None)
+    loss = HUMAN_DATA.make("imitation").actor_loss({WEIGHT: 3.0}, batch.action + 1.0, batch)
+    assert float(loss) == 0.0
