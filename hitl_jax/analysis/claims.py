@@ -2,7 +2,12 @@
 
 from collections.abc import Callable
 
-from hitl_jax.analysis import claims_on_skill, claims_on_training, claims_over_steps
+from hitl_jax.analysis import (
+    claims_for_human_time,
+    claims_on_skill,
+    claims_on_training,
+    claims_over_steps,
+)
 from hitl_jax.analysis.compared_runs import ComparedRuns
 from hitl_jax.analysis.verdicts import Claim
 from hitl_jax.results.episode_tables import METHODS
@@ -15,8 +20,10 @@ _CLAIMS: tuple[Callable[[ComparedRuns], Claim | None], ...] = (
     claims_on_training.speed,
     claims_on_training.speed_in_steps,
     claims_over_steps.area,
+    claims_over_steps.seeds_needed,
     claims_over_steps.steps_until_tested,
     claims_over_steps.falls,
+    claims_for_human_time.return_for_human_time,
     claims_on_skill.skill,
     claims_on_skill.skill_over_training,
     claims_on_skill.improvement,

@@ -26,25 +26,17 @@ _LONGEST = 0.25
 _FEWER_STEPS, _FEWER_FALLS = 1 / 2, 1 / 3
 """Of SRL's, what HITL-AC may take."""
 _PAIR = ("hitl-ac", "srl")
+_SMALLEST = 20.0
+"""Least difference of interest in the area under the tests, points of return."""
+_POWER = 1.960 + 0.842
+"""Standard errors that a difference must be for that: quantiles 0.975 and 0.8 of the normal."""
 
 
 def area(results: ComparedRuns) -> Claim | None:
     """The area under the tests, as one number for the speed of training; None without tests."""
-    tested = results.tested()
-    if tested is None:
+    scores = _areas(results)
+    if scores is None:
         return None
-    until = _common_steps(results, METHODS)
-    scores = {
-        method: np.array(
-            [
-                _area(_steps_at(run, skill.points), returns, end)
-                for run, returns, end in zip(
-                    results.runs[method], skill.returns, until, strict=True
-                )
-            ]
-        )
-        for method, skill in tested.items()
-    }
     verdict, sure = in_order(scores)
     return Claim(
         "Area under the tests",
@@ -54,6 +46,29 @@ def area(results: ComparedRuns) -> Claim | None:
         f"seeds is told; {SURE_AIM}",
         f"{told(scores, stats.mean, '.0f')}; {sure}",
         verdict,
+        results.seeds,
+    )
+
+
+def seeds_needed(results: ComparedRuns) -> Claim | None:
+    """How many seeds would tell a small difference of that area; None without tests."""
+    scores = _areas(results)
+    if scores is None:
+        return None
+    cells = []
+    for x, y in (("hitl-ac", "hitl-fix"), ("hitl-fix", "srl")):
+        spread = float(np.std(scores[x] - scores[y], ddof=1))
+        seeds = (_POWER * spread / _SMALLEST) ** 2
+        needed = f"{np.ceil(max(seeds, 2.0)):.0f} seeds" if np.isfinite(seeds) else "not known"
+        cells.append(f"{x.upper()} and {y.upper()}: {needed} (standard deviation {spread:.0f})")
+    return Claim(
+        "Seeds needed",
+        "–",
+        f"reported: seeds with which a difference of {_SMALLEST:.0f} in that area would be found "
+        "with a probability of 0.8 (paired, two-sided, level 0.05, normal approximation), from the "
+        "standard deviation of the differences",
+        "; ".join(cells),
+        "–",
         results.seeds,
     )
 
@@ -117,6 +132,25 @@ def falls(results: ComparedRuns) -> Claim:
         verdict,
         results.seeds,
     )
+
+
+def _areas(results: ComparedRuns) -> dict[str, np.ndarray] | None:
+    """Of each method the mean test of each seed up to their common steps, [S]."""
+    tested = results.tested()
+    if tested is None:
+        return None
+    until = _common_steps(results, METHODS)
+    return {
+        method: np.array(
+            [
+                _area(_steps_at(run, skill.points), returns, end)
+                for run, returns, end in zip(
+                    results.runs[method], skill.returns, until, strict=True
+                )
+            ]
+        )
+        for method, skill in tested.items()
+    }
 
 
 def _common_steps(results: ComparedRuns, methods: Sequence[str]) -> np.ndarray:

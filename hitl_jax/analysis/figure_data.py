@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hitl_jax.analysis.claims_for_human_time import human_seconds
 from hitl_jax.analysis.figure_style import literal
 from hitl_jax.analysis.summary import (
     NOT_TESTED,
@@ -27,6 +28,7 @@ class MethodData(NamedTuple):
         unfinished: how many of these runs are under way.
         tests: of each run that was tested.
         progress: autonomous tests during training.
+        human_seconds: time in human hands until each of these, [S, P].
         assisted: tests during training with the human.
     """
 
@@ -36,6 +38,7 @@ class MethodData(NamedTuple):
     unfinished: int
     tests: list[Table]
     progress: SkillOverTraining
+    human_seconds: np.ndarray
     assisted: SkillOverTraining
 
     def column(self, name: str) -> list[np.ndarray]:
@@ -122,7 +125,8 @@ def load(folder: ResultsFolder, runs: list[Run] | None = None) -> FigureData:
             progress = skill_over_training(often) if often else NOT_TESTED
             assisted = skill_over_training(helped, "assisted") if helped else NOT_TESTED
             tests = [run.tests for run in tested]
-            shown = (name, training, played, len(begun), tests, progress, assisted)
+            seconds = np.array([human_seconds(run, progress.points) for run in often])
+            shown = (name, training, played, len(begun), tests, progress, seconds, assisted)
             methods.append(MethodData(*shown))
     longest = max((len(t["episode"]) for m in methods for t in m.training), default=0)
     window = int(np.clip(longest // 10, 20, 100))

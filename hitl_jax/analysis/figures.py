@@ -25,6 +25,7 @@ DRAWINGS: dict[str, Callable[[FigureData], Figure | None]] = {
     "figure4_steps": return_figures.over_steps,
     "figure5_test": skill_figures.tests,
     "figure5_progress": skill_figures.over_training,
+    "figure5_human_time": skill_figures.over_human_time,
     "figure6_boundary": boundary_figures.boundary,
     "figure6_moves": boundary_figures.moves,
     "figure7_human": human_figure.work,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hitl_jax.analysis import stats
-from hitl_jax.analysis.curves import over_seeds
+from hitl_jax.analysis.curves import over_samples, over_seeds
 from hitl_jax.analysis.figure_data import FigureData, MethodData
 from hitl_jax.analysis.figure_style import (
     COLOURS,
@@ -88,11 +88,32 @@ def over_training(data: FigureData) -> Figure | None:
     others = [line_mark(color=GREY, linestyle=_HELPED, label="assisted by the human")] * helped
     axes.set(xlabel="training episodes before the test")
     name = "test return" if helped else "autonomous test return"
-    episodes = sorted({m.progress.episodes for m in methods})
-    axes.set(ylabel=f"{name}\n(mean of {' or '.join(map(str, episodes))} episodes)")
+    axes.set(ylabel=f"{name}\n(mean of {_episodes_of(methods)} episodes)")
     mark_solved(axes, "solved")
     legend(figure, lines, others)
     return figure
+
+
+def over_human_time(data: FigureData) -> Figure | None:
+    """Autonomous tests during training over the time that the human has acted until then."""
+    methods = [m for m in data.methods if m.name != "srl" and len(m.progress.returns)]
+    if not methods:
+        return None
+    figure, [axes] = panels(1, 1, (COLUMN, 3.7))
+    lines = []
+    for m in methods:
+        curve = over_samples(list(m.human_seconds), list(m.progress.returns))
+        lines.append(draw_curve(axes, m.name, curve))
+    axes.set(xlabel="time in human hands so far [s]")
+    axes.set(ylabel=f"autonomous test return\n(mean of {_episodes_of(methods)} episodes)")
+    mark_solved(axes, "solved")
+    legend(figure, lines)
+    return figure
+
+
+def _episodes_of(methods: list[MethodData]) -> str:
+    """Of how many episodes tests during training are."""
+    return " or ".join(map(str, sorted({m.progress.episodes for m in methods})))
 
 
 def _returns(tests: list[Table], mode: str) -> list[np.ndarray]:

@@ -50,6 +50,7 @@ _FIGURES = {
     "figure4_steps": "the same over environment steps",
     "figure5_test": "test episodes",
     "figure5_progress": "tests during training",
+    "figure5_human_time": "tests over human time",
     "figure6_boundary": "the boundary",
     "figure6_moves": "what moved it",
     "figure7_human": "the human's work",

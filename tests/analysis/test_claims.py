@@ -78,6 +78,65 @@ def _judge(srl, fix, ac):
     return {claim.name: claim for claim in judge(made, 0.45, _BOUNDS)}
 
 
+def _helped(method, seed, rises_at, test_return):
+    """A run whose human acts for 0.1 s in each of 1000 episodes."""
+    run = _run(method, seed, rises_at, test_return + seed)
+    run.episodes["human_steps"][:] = 5
+    return run
+
+
+@pytest.mark.parametrize(
+    ("fix", "ac", "verdict"),
+    [
+        ((500, 300.0), (200, 320.0), HOLDS),
+        ((500, 300.0), (200, 300.0), UNDECIDED),  # After 600 s, which none takes, both walk alike.
+        ((200, 300.0), (500, 300.0), HOLDS_NOT),
+    ],
+)
+def test_return_is_judged_at_equal_human_time(fix, ac, verdict):
+    of = {"srl": (600, 300.0), "hitl-fix": fix, "hitl-ac": ac}
+    made = {
+        method: [_helped(method, seed, *how) for seed in range(5)] for method, how in of.items()
+    }
+    [claim] = [one for one in judge(made, 0.45, _BOUNDS) if one.name == "Return for human time"]
+    assert claim.verdict == verdict
+    assert claim.measured.endswith(
+        "In all the human acted for HITL-AC 100 [100, 100], HITL-FIX 100 [100, 100] s"
+    )
+    if verdict == UNDECIDED:
+        first, *_, last = claim.measured.split("; ")
+        # 30 s are 300 episodes.
+        assert first.startswith("30 s: HITL-AC 302 [301, 303], HITL-FIX -100 [-100, -100], ahead")
+        assert last.startswith(
+            "600 s: HITL-AC 302 [301, 303], HITL-FIX 302 [301, 303], ahead by +0"
+        )
+
+
+def test_where_no_human_acts_there_is_no_human_time():
+    made = {
+        method: [_run(method, seed, 300, 200.0) for seed in range(5)]
+        for method in ("srl", "hitl-fix", "hitl-ac")
+    }
+    assert "Return for human time" not in [claim.name for claim in judge(made, 0.45, _BOUNDS)]
+
+
+def test_the_seeds_that_a_difference_takes_by_hand():
+    """The areas of HITL-FIX differ from SRL's by what the tests do, and from HITL-AC's by none."""
+    claims = _judge(
+        srl=[{"rises_at": 50, "test_return": 100.0}] * 6,
+        fix=[{"rises_at": 50, "test_return": value} for value in (200.0, 300.0) * 3],
+        ac=[{"rises_at": 50, "test_return": value} for value in (210.0, 310.0) * 3],
+    )
+    told = claims["Seeds needed"].measured
+    # Until the first test, at 50 of 1000 episodes, the return rises to the test's.
+    spread = np.std([100.0, 200.0] * 3, ddof=1) * (1 - 0.5 * 50 / 1000)
+    seeds = int(np.ceil((2.802 * spread / 20.0) ** 2))
+    assert told == (
+        "HITL-AC and HITL-FIX: 2 seeds (standard deviation 0); "
+        f"HITL-FIX and SRL: {seeds} seeds (standard deviation {spread:.0f})"
+    )
+
+
 def test_all_claims_can_hold():
     claims = _judge(
         srl=[{"rises_at": 600, "test_return": 200.0 + seed} for seed in range(5)],
@@ -88,7 +147,8 @@ def test_all_claims_can_hold():
         ],
     )
     verdicts = {name: claim.verdict for name, claim in claims.items()}
-    assert verdicts.pop("Alarms before falls") == verdicts.pop("Skill over training") == "–"
+    reported = "Alarms before falls", "Skill over training", "Seeds needed"
+    assert {verdicts.pop(name) for name in reported} == {"–"}
     assert set(verdicts.values()) == {HOLDS}
     # Of 100 returns of 300 or -100, 75 of 300 make a mean of 200.
     speed = claims["Training speed (Figure 4)"].measured
@@ -203,7 +263,7 @@ def test_all_claims_can_fail():
         ],
     )
     verdicts = {name: claim.verdict for name, claim in claims.items()}
-    del verdicts["Alarms before falls"], verdicts["Skill over training"]
+    del verdicts["Alarms before falls"], verdicts["Skill over training"], verdicts["Seeds needed"]
     assert set(verdicts.values()) == {HOLDS_NOT}
     assert "HITL-AC never [never, never]" in claims["Training speed (Figure 4)"].measured
 

@@ -1,0 +1,69 @@
+"""Claims about what a walker can do for the time that the human has spent on it."""
+
+import numpy as np
+
+from hitl_jax.analysis import stats
+from hitl_jax.analysis.compared_runs import ComparedRuns
+from hitl_jax.analysis.summary import STEPS_PER_SECOND
+from hitl_jax.analysis.verdicts import Claim, least, of_sign, told
+from hitl_jax.results.episode_measures import FALL_REWARD
+from hitl_jax.results.folder import Run
+
+BUDGETS = (30, 60, 120, 300, 600)
+"""Seconds in human hands."""
+_PAIR = ("hitl-fix", "hitl-ac")
+
+
+def human_seconds(run: Run, points: np.ndarray) -> np.ndarray:
+    """Time in human hands until each test, [P].
+
+    Args:
+        run: the run.
+        points: training episodes before each test, [P].
+    """
+    seconds: np.ndarray = np.cumsum(run.episodes["human_steps"])[points - 1] / STEPS_PER_SECOND
+    return seconds
+
+
+def return_for_human_time(results: ComparedRuns) -> Claim | None:
+    """Whether HITL-AC's walkers are better for equal human time; None where no human acts."""
+    tested = results.tested()
+    spent = {
+        method: np.array([run.episodes["human_steps"].sum() for run in results.runs[method]])
+        / STEPS_PER_SECOND
+        for method in _PAIR
+    }
+    if tested is None or not any(seconds.any() for seconds in spent.values()):
+        return None
+    cells, verdicts = [], []
+    for budget in BUDGETS:
+        scores = {
+            method: np.array(
+                [
+                    _best_known(human_seconds(run, tested[method].points), returns, budget)
+                    for run, returns in zip(
+                        results.runs[method], tested[method].returns, strict=True
+                    )
+                ]
+            )
+            for method in _PAIR
+        }
+        ahead = stats.estimate(scores["hitl-ac"] - scores["hitl-fix"], stats.mean)
+        verdicts.append(of_sign(ahead))
+        cells.append(f"{budget} s: {told(scores, stats.mean, '.0f')}, ahead by {ahead:+.0f}")
+    return Claim(
+        "Return for human time",
+        "–",
+        "mean over seeds of the last autonomous test during training before the human had acted "
+        "for more than so long: HITL-AC's above HITL-FIX's, with an interval above 0, at each of "
+        f"{', '.join(map(str, BUDGETS))} s",
+        f"{'; '.join(cells)}. In all the human acted for {told(spent, stats.mean, '.0f')} s",
+        least(verdicts),
+        results.seeds,
+    )
+
+
+def _best_known(seconds: np.ndarray, returns: np.ndarray, budget: float) -> float:
+    """The last test within a budget; that of a fall at once where there is none."""
+    within = int(np.searchsorted(seconds, budget, side="right"))
+    return float(returns[within - 1]) if within else FALL_REWARD
