@@ -6,27 +6,23 @@ changes nothing.
 
 import pathlib
 import shlex
-from collections import Counter
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from hitl_jax.analysis import alarm_figures, boundary_map, warning_figures
-from hitl_jax.analysis.claims import judge
-from hitl_jax.analysis.figure_data import tolerance_in
+from hitl_jax.analysis import boundary_map
 from hitl_jax.analysis.figures import draw_all
 from hitl_jax.analysis.markdown import table
 from hitl_jax.analysis.summary import write_summary
-from hitl_jax.analysis.verdicts import Claim
 from hitl_jax.config import Hyper, Method
 from hitl_jax.errors import ResultsError
 from hitl_jax.playback.load_trained import section_of
+from hitl_jax.reports.comparison import Compared, at_a_glance, compare, table_of
 from hitl_jax.reports.foresight import foresight
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.results.config_diff import flatten
-from hitl_jax.results.folder import ResultsFolder, Run
-from hitl_jax.results.provenance import short_commit
+from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.settings import ABLATIONS, BASE
 from hitl_jax.studies.ablations.starts import judge_starts
@@ -45,30 +41,10 @@ _BUDGETS: dict[str, dict[str, Any]] = {"boundary-parts": _EARLY, "boundary-start
 
 
 _BASE = "Settings change the options of `sweep --preset paper --learner td3-tqc`, the base.\n"
-_FIGURES = {
-    "figure4_training": "training return over episodes",
-    "figure4_steps": "the same over environment steps",
-    "figure5_test": "test episodes",
-    "figure5_progress": "tests during training",
-    "figure5_human_time": "tests over human time",
-    "figure6_boundary": "the boundary",
-    "figure6_moves": "what moved it",
-    "figure7_human": "the human's work",
-    "figure8_alarms": "alarms at any boundary",
-}
-
-
-class _Comparison(NamedTuple):
-    """A comparison of the three methods: with which options, and its folder."""
-
-    options: str
-    folder: str
-
-
 _COMPARISONS = (
-    _Comparison("the defaults, but `--human.delay 0 --episodes 500`", "full"),
-    _Comparison("`--preset paper --learner td3-tqc`", "ten_seeds"),
-    _Comparison("`--preset paper`", "ten_seeds_ddpg"),
+    Compared("the defaults, but `--human.delay 0 --episodes 500`", "full"),
+    Compared("`--preset paper --learner td3-tqc`", "ten_seeds"),
+    Compared("`--preset paper`", "ten_seeds_ddpg"),
 )
 
 
@@ -102,63 +78,14 @@ def write_report(root: pathlib.Path, say: Callable[[str], None]) -> pathlib.Path
     """
     if not (any(root.glob("*/config.json")) or (root / "ablations" / "runs.csv").exists()):
         raise ResultsError(f"{root}: holds no results")
-    parts = [_HEAD]
-    for comparison in _COMPARISONS:
-        parts.append(_comparison(comparison, root, say))
+    compared = [compare(each, root, say) for each in _COMPARISONS]
+    parts = [_HEAD, at_a_glance(compared), *(each.text for each in compared)]
     parts += [foresight(root, say, [comparison.folder for comparison in _COMPARISONS])]
     parts += [_ablations(root / "ablations", say), _map(root / _NETWORK, say)]
     parts += [_tuning(root / "tuning"), _settings(root)]
     path = root / "REPORT.md"
     write_text_atomic(path, "\n".join(parts))
     return path
-
-
-def _comparison(comparison: _Comparison, root: pathlib.Path, say: Callable[[str], None]) -> str:
-    folder = ResultsFolder(root / comparison.folder)
-    title = f"## The three methods with {comparison.options}\n"
-    if not folder.path.exists():
-        return f"{title}\nNot run yet.\n"
-    write_summary(folder)
-    failures = draw_all(folder).failures
-    if (folder.path / alarm_figures.DATA).exists():
-        failures += alarm_figures.draw(folder).failures
-    if (folder.path / warning_figures.WARNINGS).exists():
-        failures += warning_figures.draw(folder).failures
-    for failure in failures:
-        say(failure)
-    runs: dict[str, list[Run]] = {}
-    for run in folder.load_all():
-        runs.setdefault(run.key.method, []).append(run)
-    config = folder.load_config()
-    seeds = ", ".join(f"{method} {len(of)}" for method, of in runs.items())
-    commits = Counter(short_commit(run.info["commit"]) for of in runs.values() for run in of)
-    made = ", ".join(f"{commit} ({count} runs)" for commit, count in commits.items())
-    hyper = section_of(folder, "hyper", Hyper)
-    try:
-        bounds = (hyper.boundary_low, hyper.boundary_high)
-        claims = judge(runs, tolerance_in(folder), bounds)
-    except ValueError as error:
-        return f"{title}\nUnder way: {error}.\n"
-    steps = sum(run.info["env_steps"] for of in runs.values() for run in of) / 1e6
-    machines = Counter(
-        run.info.get("machine", "not recorded") for of in runs.values() for run in of
-    )
-    where = ", ".join(f"{machine} ({count} runs)" for machine, count in machines.items())
-    lost = [str(run.key) for of in runs.values() for run in of if run.diverged]
-    diverged = f"Diverged, counted as falling at once from there on: {', '.join(lost)}.\n\n"
-    name = comparison.folder
-    figures = "".join(
-        f"![{text}]({name}/figures/{stem}.png)\n"
-        for stem, text in _FIGURES.items()
-        if (folder.path / "figures" / f"{stem}.png").exists()
-    )
-    return (
-        f"{title}\nSeeds: {seeds}; {config['episodes']} training episodes and "
-        f"{config['test_episodes']} test episodes each, {steps:.1f} million environment steps of "
-        f"training. Commit {made}; machine: {where}. Options and versions of every run "
-        f"are in `{name}`, its tables in [{name}/summary.md]({name}/summary.md).\n\n"
-        f"{diverged if lost else ''}{_claims(claims)}\n{figures}"
-    )
 
 
 def _tuning(folder: pathlib.Path) -> str:
@@ -195,12 +122,6 @@ def _settings(root: pathlib.Path) -> str:
         cells = (str(config.get(name, "not there yet")) for config in configs.values())
         lines.append([name, *cells])
     return f"{title}\n{table(lines)}"
-
-
-def _claims(claims: list[Claim]) -> str:
-    rows = [["claim", "the paper", "to hold", "measured", "seeds", "verdict"]]
-    rows += [[c.name, c.paper, c.aim, c.measured, str(c.seeds), f"**{c.verdict}**"] for c in claims]
-    return table(rows)
 
 
 def _ablations(folder: pathlib.Path, say: Callable[[str], None]) -> str:
@@ -259,4 +180,4 @@ def _starts(options: AblationOptions, store: Store) -> list[str]:
     if {len(runs) for runs in (*fixed.values(), *learned.values())} != {options.seeds}:
         return []
     base = next(s.label for s in ABLATIONS[_STARTS].settings if not s.changes)
-    return [_claims(judge_starts(fixed, learned, base, changed(BASE).hyper.human.tolerance))]
+    return [table_of(judge_starts(fixed, learned, base, changed(BASE).hyper.human.tolerance))]

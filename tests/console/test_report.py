@@ -6,9 +6,10 @@ import shutil
 import pytest
 
 from hitl_jax.analysis.figure_style import Drawn
-from hitl_jax.analysis.verdicts import HOLDS, HOLDS_NOT, UNDECIDED
+from hitl_jax.analysis.verdicts import HOLDS, HOLDS_NOT, UNDECIDED, Claim
 from hitl_jax.commands import report
 from hitl_jax.console.cli import run_main
+from hitl_jax.reports import comparison
 from hitl_jax.reports import report as reports
 from hitl_jax.studies.ablations.starts import judge_starts
 
@@ -50,7 +51,8 @@ def test_claims_about_tau_0():
 @pytest.mark.slow
 def test_what_is_committed_is_what_the_data_give(tmp_path, monkeypatch):
     # Drawings may differ with matplotlib's version; texts may not.
-    monkeypatch.setattr(reports, "draw_all", lambda folder: Drawn([], [], []))
+    for module in (comparison, reports):
+        monkeypatch.setattr(module, "draw_all", lambda folder: Drawn([], [], []))
     copy = tmp_path / "results"
     shutil.copytree(_RESULTS, copy)
     assert run_main("report", report.main, ["--results", str(copy)]) == 0
@@ -90,3 +92,22 @@ def test_claims_about_tau_0_without_a_number_are_not_decided(measure, whose):
     verdicts = [claim.verdict for claim in judge_starts(**made, base="0.5", tolerance=0.45)]
     assert verdicts[2] == UNDECIDED
     assert verdicts[:2] == [UNDECIDED if measure == "test_return_mean" else HOLDS] * 2
+
+
+def test_at_a_glance_is_a_line_for_each_claim_that_is_judged_somewhere():
+    def section(options, seeds, verdicts):
+        claims = [Claim(name, "–", "", "", verdict, seeds) for name, verdict in verdicts.items()]
+        return comparison.Section(comparison.Compared(options, "mine"), "", claims)
+
+    told = comparison.at_a_glance(
+        [
+            section("the defaults", 30, {"speed": HOLDS, "power": "–"}),
+            section("others", 5, {"speed": HOLDS_NOT, "power": "–", "help": UNDECIDED}),
+            comparison.Section(comparison.Compared("not run", "none"), "Not run yet."),
+        ]
+    )
+    table = [line.strip("|").split(" | ") for line in told.splitlines() if line.startswith("|")]
+    head, _, *rows = [[cell.strip() for cell in line] for line in table]
+    assert head == ["claim", "the paper", "the defaults (30 seeds)", "others (5 seeds)"]
+    assert rows == [["speed", "–", HOLDS, HOLDS_NOT], ["help", "–", "not asked", UNDECIDED]]
+    assert comparison.at_a_glance([]) == ""
