@@ -22,8 +22,8 @@ class Transition:
         discount: γ^m · (1 − terminated), [], where m ≤ n steps were taken. A truncated episode
             keeps its bootstrap.
         next_observation: s_{t+m}, the true final observation where the episode ended, [O].
-        human: 1 where the action is the human's, []; None where none is. An episode's last step
-            counts as the machine's.
+        human: 1 where the action is the human's, []; None: no step of the minibatch is. An
+            episode's last step counts as the machine's.
     """
 
     observation: chex.Array

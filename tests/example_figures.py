@@ -23,6 +23,7 @@ NAMES = (
     "figure4_steps",
     "figure5_test",
     "figure5_progress",
+    "figure5_human_time",
     "figure6_boundary",
     "figure6_moves",
     "figure7_human",
@@ -43,5 +44,5 @@ def save(
         info |= {"diverged": {"quantity": "action", "env_steps": 1, "episodes": diverged}}
     tests = make_tests(method, **modes)
     progress = {name: tests[name] for name in PROGRESS_COLUMNS[1:]}
-    progress["trained"] = [50 if mode == "autonomous" else 100 for mode in tests["mode"]]
+    progress["trained"] = [10 if mode == "autonomous" else 20 for mode in tests["mode"]]
     folder.save_run(RunKey(method, seed), make_training(method, seed), tests, {}, info, progress)

@@ -17,5 +17,6 @@ def make_training(method: str, seed: int, count: int = 40) -> dict[str, Any]:
         "interventions": noise.integers(0, 2, count) * human,
         "end": ["fall"] * count,
     }
+    columns["human_steps"] = 50 * columns["interventions"]
     boundary = np.full(count, 0.7 if human else np.nan)
     return columns | {"mean_boundary": boundary, "final_boundary": boundary}

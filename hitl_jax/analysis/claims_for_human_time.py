@@ -29,18 +29,18 @@ def return_for_human_time(results: ComparedRuns) -> Claim | None:
     """Whether HITL-AC's walkers are better for equal human time; None where no human acts."""
     tested = results.tested()
     spent = {
-        method: np.array([run.episodes["human_steps"].sum() for run in results.runs[method]])
+        method: np.array([run.played["human_steps"].sum() for run in results.runs[method]])
         / STEPS_PER_SECOND
         for method in _PAIR
     }
-    if tested is None or not any(seconds.any() for seconds in spent.values()):
+    if tested is None or not all(seconds.any() for seconds in spent.values()):
         return None
     cells, verdicts = [], []
     for budget in BUDGETS:
         scores = {
             method: np.array(
                 [
-                    _best_known(human_seconds(run, tested[method].points), returns, budget)
+                    _at(human_seconds(run, tested[method].points), returns, budget)
                     for run, returns in zip(
                         results.runs[method], tested[method].returns, strict=True
                     )
@@ -54,8 +54,9 @@ def return_for_human_time(results: ComparedRuns) -> Claim | None:
     return Claim(
         "Return for human time",
         "–",
-        "mean over seeds of the last autonomous test during training before the human had acted "
-        "for more than so long: HITL-AC's above HITL-FIX's, with an interval above 0, at each of "
+        "autonomous test return where the human has acted for so long, straight between tests and "
+        "from that of a fall at once before the first; that of the end where the human acted for "
+        "less: HITL-AC's mean over seeds above HITL-FIX's, with an interval above 0, at each of "
         f"{', '.join(map(str, BUDGETS))} s",
         f"{'; '.join(cells)}. In all the human acted for {told(spent, stats.mean, '.0f')} s",
         least(verdicts),
@@ -63,7 +64,13 @@ def return_for_human_time(results: ComparedRuns) -> Claim | None:
     )
 
 
-def _best_known(seconds: np.ndarray, returns: np.ndarray, budget: float) -> float:
-    """The last test within a budget; that of a fall at once where there is none."""
-    within = int(np.searchsorted(seconds, budget, side="right"))
-    return float(returns[within - 1]) if within else FALL_REWARD
+def _at(seconds: np.ndarray, returns: np.ndarray, budget: float) -> float:
+    """The test return where the human has acted for so long."""
+    before = int(np.searchsorted(seconds, budget, side="right"))
+    if before == len(seconds):
+        return float(returns[-1])
+    # The last of those without a second more between them is the walker of that time.
+    seconds, returns = np.append(0.0, seconds), np.append(FALL_REWARD, returns)
+    left, right = before, before + 1
+    share = (budget - seconds[left]) / (seconds[right] - seconds[left])
+    return float(returns[left] + share * (returns[right] - returns[left]))

@@ -28,6 +28,8 @@ _FEWER_STEPS, _FEWER_FALLS = 1 / 2, 1 / 3
 _PAIR = ("hitl-ac", "srl")
 _SMALLEST = 20.0
 """Least difference of interest in the area under the tests, points of return."""
+_FEWEST = 5.0
+"""Seeds below which the normal approximation says nothing."""
 _POWER = 1.960 + 0.842
 """Standard errors that a difference must be for that: quantiles 0.975 and 0.8 of the normal."""
 
@@ -55,22 +57,28 @@ def seeds_needed(results: ComparedRuns) -> Claim | None:
     scores = _areas(results)
     if scores is None:
         return None
-    cells = []
-    for x, y in (("hitl-ac", "hitl-fix"), ("hitl-fix", "srl")):
-        spread = float(np.std(scores[x] - scores[y], ddof=1))
-        seeds = (_POWER * spread / _SMALLEST) ** 2
-        needed = f"{np.ceil(max(seeds, 2.0)):.0f} seeds" if np.isfinite(seeds) else "not known"
-        cells.append(f"{x.upper()} and {y.upper()}: {needed} (standard deviation {spread:.0f})")
+    cells = [
+        f"{x.upper()} and {y.upper()} {stats.estimate(scores[x] - scores[y], _seeds_for):.0f}"
+        for x, y in (("hitl-ac", "hitl-fix"), ("hitl-fix", "srl"))
+    ]
     return Claim(
         "Seeds needed",
         "–",
-        f"reported: seeds with which a difference of {_SMALLEST:.0f} in that area would be found "
-        "with a probability of 0.8 (paired, two-sided, level 0.05, normal approximation), from the "
-        "standard deviation of the differences",
-        "; ".join(cells),
+        f"reported: seeds with which a difference of {_SMALLEST:.0f} between two means of that "
+        "area would be found with a probability of 0.8 (paired, two-sided, level 0.05, normal "
+        "approximation), from the standard deviation of the differences; the claim above asks for "
+        "something else",
+        ", ".join(cells),
         "–",
         results.seeds,
     )
+
+
+def _seeds_for(differences: np.ndarray, axis: int) -> np.ndarray:
+    """Seeds that tell `_SMALLEST` from none, given the differences of some seeds along an axis."""
+    needed = (_POWER * np.std(differences, axis=axis, ddof=1) / _SMALLEST) ** 2
+    seeds: np.ndarray = np.ceil(np.maximum(needed, _FEWEST))
+    return seeds
 
 
 def steps_until_tested(results: ComparedRuns) -> Claim | None:

@@ -96,13 +96,17 @@ def over_training(data: FigureData) -> Figure | None:
 
 def over_human_time(data: FigureData) -> Figure | None:
     """Autonomous tests during training over the time that the human has acted until then."""
-    methods = [m for m in data.methods if m.name != "srl" and len(m.progress.returns)]
+    methods = [m for m in data.methods if m.human_seconds.any()]
     if not methods:
         return None
     figure, [axes] = panels(1, 1, (COLUMN, 3.7))
     lines = []
     for m in methods:
-        curve = over_samples(list(m.human_seconds), list(m.progress.returns))
+        # A walker that needed less help than another stays what it was at the end.
+        ends = np.full((len(m.human_seconds), 1), m.human_seconds.max())
+        places = np.append(m.human_seconds, ends, axis=1)
+        returns = np.append(m.progress.returns, m.progress.returns[:, -1:], axis=1)
+        curve = over_samples(list(places), list(returns))
         lines.append(draw_curve(axes, m.name, curve))
     axes.set(xlabel="time in human hands so far [s]")
     axes.set(ylabel=f"autonomous test return\n(mean of {_episodes_of(methods)} episodes)")

@@ -62,7 +62,7 @@ def measure_learner(seconds: float) -> list[Row]:
 
     The same again with hidden layers multiplied in bfloat16, beside such a product.
     """
-    plain = AgentConfig(learner="td3", layer_norm=False)
+    plain = AgentConfig(learner="td3", human_data="transitions", layer_norm=False)
     wide = dataclasses.replace(plain, hidden_sizes=(256, 256), batch_size=256)
     narrow = dataclasses.replace(plain, hidden_sizes=(128, 128), batch_size=128)
     peaks = {precision: measure_product(seconds, precision) for precision in MATMUL_PRECISIONS}

@@ -183,6 +183,7 @@ def _ours(width: int, batch_size: int, backend: str, precision: str, seconds: fl
     """Steps/s of the whole loop, SRL, the method that SBX's is."""
     config = AgentConfig(
         learner="td3",
+        human_data="transitions",
         hidden_sizes=(width, width),
         batch_size=batch_size,
         n_step=1,

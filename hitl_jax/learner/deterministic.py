@@ -169,11 +169,11 @@ class DeterministicActorCritic:
         self, actor: Params, hyper: Any, critic: Params, batch: Transition
     ) -> tuple[chex.Array, losses.Metrics]:
         """The policy gradient's loss, and what is made of the human's steps."""
-        apply = self.actor.apply
-        loss, metrics = losses.actor_loss(
-            actor, apply, self.first_critic.apply, critic, batch.observation
+        action = self.actor.apply(actor, batch.observation)
+        loss, metrics = losses.action_loss(
+            action, self.first_critic.apply, critic, batch.observation
         )
         if not self.human_data.changes_actor:
             return loss, metrics
-        of_human = self.human_data.actor_loss(hyper.extra, apply(actor, batch.observation), batch)
+        of_human = self.human_data.actor_loss(hyper.extra, action, batch)
         return loss + of_human, metrics | {"human_data_loss": of_human}

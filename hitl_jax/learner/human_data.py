@@ -105,7 +105,7 @@ class Imitated:
     share: float = 0.0
     changes_actor: bool = True
     options: tuple[Option, ...] = (
-        Option(WEIGHT, 10.0, "what a squared distance of 1 from a^h costs the actor", "1", 0.0),
+        Option(WEIGHT, 10.0, "what a squared distance of 1 from a^h costs", "return", 0.0),
     )
 
     def actor_loss(
@@ -125,9 +125,13 @@ def transitions() -> HumanData:
     return Drawn()
 
 
-@HUMAN_DATA.register("half", "half of each minibatch is drawn from them")
+@HUMAN_DATA.register("half", "half of each minibatch is sought among them")
 def half() -> HumanData:
-    """As RLPD (https://arxiv.org/abs/2302.02948) and HIL-SERL (https://arxiv.org/abs/2410.21845)."""
+    """After RLPD (https://arxiv.org/abs/2302.02948) and HIL-SERL (https://arxiv.org/abs/2410.21845).
+
+    There it is half; here what 16 draws for each place find, 1 − (1 − p)^16 of it where a share p
+    of the replay is the human's.
+    """
     return Drawn(share=0.5)
 
 
@@ -135,8 +139,9 @@ def half() -> HumanData:
 def imitation() -> HumanData:
     """A behaviour-cloning term beside the value.
 
-    As in https://arxiv.org/abs/1709.10089, without its filter, and TD3+BC
-    (https://arxiv.org/abs/2106.06860), on the human's steps alone.
+    As in https://arxiv.org/abs/1709.10089, without its filter, and in TD3+BC
+    (https://arxiv.org/abs/2106.06860), on the human's steps alone and without its scaling of Q: the
+    weight is in units of the return.
     """
     return Imitated()
 

@@ -175,6 +175,26 @@ def actor_loss(
     Args:
         actor: parameters of μ.
         apply_actor: maps (parameters, [B, O]) to actions [B, A].
+        apply_critic: see `action_loss`.
+        critic: likewise.
+        observation: [B, O].
+
+    Returns:
+        The loss [] and the metric `actor_loss`.
+    """
+    return action_loss(apply_actor(actor, observation), apply_critic, critic, observation)
+
+
+def action_loss(
+    action: chex.Array,
+    apply_critic: Callable[[Params, chex.Array, chex.Array], chex.Array],
+    critic: Params,
+    observation: chex.Array,
+) -> tuple[chex.Array, Metrics]:
+    """−mean Q_1(s, a) of actions that are differentiated.
+
+    Args:
+        action: a, [B, A].
         apply_critic: maps (parameters of one critic, [B, O], [B, A]) to values [1, B], or
             quantiles [1, B, Q], whose mean is the value.
         critic: parameters of the stacked critics; only the first critic is followed, as in TD3.
@@ -184,6 +204,6 @@ def actor_loss(
         The loss [] and the metric `actor_loss`.
     """
     first = jax.tree.map(lambda leaf: leaf[:1], critic)
-    q = apply_critic(first, observation, apply_actor(actor, observation))
+    q = apply_critic(first, observation, action)
     loss = -jnp.mean(q)
     return loss, {"actor_loss": loss}

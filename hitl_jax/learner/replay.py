@@ -15,6 +15,7 @@ through `sample_boundary`: it needs more of its columns than the task does.
 """
 
 import dataclasses
+import math
 
 import chex
 import jax
@@ -165,10 +166,11 @@ def draw(
         layout: its columns.
         column: the run's column, [].
         key: consumed.
-        batch_size: B, of all minibatches together.
+        batch_size: B, of all minibatches together: a multiple of their number.
         n_step: n.
         gamma: γ, [].
-        human_share: static; of each minibatch, what is sought among the human's steps.
+        human_share: static; of each minibatch, what is sought among the human's steps, 0 to 1,
+            each by 16 draws.
         num_batches: static; how many minibatches are drawn, one after another.
 
     Returns:
@@ -177,7 +179,7 @@ def draw(
     capacity, gamma = replay.seen.shape[1], jnp.asarray(gamma, jnp.float32)
     begin = starts(replay, layout, column, key, batch_size, n_step)
     if human_share:
-        sought = round(human_share * (batch_size // num_batches))
+        sought = math.ceil(human_share * (batch_size // num_batches))
         human_key, size = jax.random.fold_in(key, _OF_HUMAN), num_batches * sought
         found = _human_starts(replay, layout, column, human_key, size, n_step)
         rows = begin.reshape(num_batches, -1)

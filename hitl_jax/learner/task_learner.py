@@ -56,8 +56,9 @@ class TaskLearner(Protocol):
             transition of a minibatch.
         options: traced numbers of its own; they are in `hyper.extra`, by name.
 
-    One that asks `config.human_data` what to make of the human's steps says so by an attribute
-    `human_data`, that choice; else choices that change the actor are refused beside it.
+    One that can imitate the human has an attribute `human_data`, what `HUMAN_DATA.make` gives for
+    `config.human_data`, and adds its `actor_loss(hyper.extra, action, batch)` to the actor's loss
+    where it `changes_actor`. Beside a learner without the attribute such choices are refused.
     """
 
     def __hash__(self) -> int: ...

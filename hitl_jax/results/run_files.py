@@ -212,6 +212,8 @@ def require_whole(run: Run) -> None:
         raise ValueError(f"has {has} training episodes: must be {asked['episodes']}")
     if run.diverged and run.info["diverged"]["episodes"] > has:
         raise ValueError(f"has {has} training episodes, and diverged after more")
+    if (run.progress["trained"] > has).any():
+        raise ValueError(f"has {has} training episodes, and was tested during training after more")
     for mode in MODES:
         has = int((run.tests["mode"] == mode).sum())
         if has not in (0, asked.get("test_episodes", has)):

@@ -121,7 +121,8 @@ class Agent(NamedTuple):
     @property
     def options(self) -> dict[str, Option]:
         """What `Hyper.extra` can hold for this team, by name: options of all that is told of it."""
-        return all_options((self.learner, self.boundary_source, self.intervention, self.release))
+        parts = self.learner, self.human_data, self.boundary_source, self.intervention, self.release
+        return all_options(parts)
 
     def with_extra(self, hyper: Any) -> Any:
         """Hyperparameters with the defaults of what the choices' own options are not given.

@@ -68,7 +68,8 @@ def test_early_results_draw_what_there_is(folder, drawn):
     folder.write_partial(RunKey("srl", 0), make_training("srl", 0, 2))
     folder.write_partial(RunKey("srl", 1), make_training("srl", 1, 0))
     _, notes, _ = draw_all(folder)
-    assert [note.split(":")[0] for note in notes] == ["figure5_test", "figure5_progress"]
+    missing = ["figure5_test", "figure5_progress", "figure5_human_time"]
+    assert [note.split(":")[0] for note in notes] == missing
     text = text_of(drawn["figure4_training"])
     assert "HITL-AC (2 seeds, 1 at the end, 2 unfinished)" in text
     assert "SRL (no band: one seed, 1 unfinished)" in text
@@ -88,7 +89,7 @@ def test_early_results_draw_what_there_is(folder, drawn):
 def test_one_finished_run_of_one_method(folder, drawn):
     save(folder, "srl", 0, modes=("autonomous",))
     _, notes, _ = draw_all(folder)
-    without_human = {"figure6_boundary", "figure6_moves", "figure7_human"}
+    without_human = {"figure5_human_time", "figure6_boundary", "figure6_moves", "figure7_human"}
     assert {note.split(":")[0] for note in notes} == without_human
     for axes in drawn["figure5_test"].axes:
         assert [tick.get_text() for tick in axes.get_xticklabels()] == [
@@ -100,7 +101,8 @@ def test_one_finished_run_of_one_method(folder, drawn):
 def test_runs_without_autonomous_tests_skip_figure_5(folder, drawn, modes):
     save(folder, "hitl-ac", 0, modes=modes)
     _, notes, _ = draw_all(folder)
-    assert [note.split(":")[0] for note in notes] == ["figure5_test", "figure5_progress"]
+    missing = ["figure5_test", "figure5_progress", "figure5_human_time"]
+    assert [note.split(":")[0] for note in notes] == missing
 
 
 def test_figure_5_shows_the_means_of_the_tests(folder, drawn):
@@ -213,3 +215,16 @@ def test_a_diverged_run_counts_in_returns_and_nowhere_else(folder):
     paths, notes, failures = draw_all(folder)
     assert notes == failures == []
     assert len(paths) == 2 * len(NAMES)
+
+
+def test_over_human_time_a_walker_stays_what_it_was_at_the_end(folder, drawn):
+    """One that took less help than another does not leave the mean."""
+    for seed in range(3):
+        save(folder, "hitl-fix", seed)
+    draw_all(folder)
+    line = drawn["figure5_human_time"].axes[0].get_lines()[-2]  # The last marks what is solved.
+    [method] = figure_data.load(folder).methods
+    ends = [table["human_steps"].sum() / 50 for table in method.training]
+    assert len(set(ends)) > 1
+    assert line.get_xdata()[-1] == max(ends)
+    assert "at the end" not in text_of(drawn["figure5_human_time"])

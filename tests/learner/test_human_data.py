@@ -4,12 +4,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import struct
 
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.errors import InvalidValue
 from hitl_jax.learner import frame, replay
 from hitl_jax.learner.human_data import HUMAN_DATA, WEIGHT, Drawn
+from hitl_jax.results.episode_measures import WALKER_ENDS
 from hitl_jax.team import agent as agents
+from hitl_jax.training.step_booking import frames_of
 from hitl_jax.types import Transition
 
 _LAYOUT = frame.Layout(observation_size=1, action_size=1)
@@ -142,3 +145,82 @@ def test_transitions_of_ones_own_need_not_say_who_acted():
     batch = dataclasses.replace(_batch(), human=None)
     loss = HUMAN_DATA.make("imitation").actor_loss({WEIGHT: 3.0}, batch.action + 1.0, batch)
     assert float(loss) == 0.0
+
+
+@pytest.mark.parametrize("name", ["transitions", "half"])
+def test_a_learner_that_makes_something_else_of_it_is_refused(name):
+    imitates = AgentConfig().task_learner
+    with pytest.raises(InvalidValue, match=f"human_data {name}: the task learner was made with"):
+        agents.make_agent(AgentConfig(human_data=name), learner=imitates)
+
+
+def test_a_learner_of_ones_own_needs_not_tell_the_options_of_the_choice():
+    @dataclasses.dataclass(frozen=True)
+    class Silent:
+        inner: object
+        options: tuple = ()
+
+        def __getattr__(self, name):
+            if name == "inner" or name.startswith("__"):
+                raise AttributeError(name)
+            return getattr(self.inner, name)
+
+    agent = agents.make_agent(AgentConfig(), learner=Silent(AgentConfig().task_learner))
+    assert WEIGHT in agent.options
+
+
+@struct.dataclass
+class Counts:
+    """Of human steps in the first and the second half, and of minibatches."""
+
+    actor: jax.Array
+
+
+@dataclasses.dataclass(frozen=True)
+class Recording:
+    """Two updates share their targets; counts the human's steps in each half of a minibatch."""
+
+    policy_delay: int = 2
+    noise_size: int = 0
+    options: tuple = ()
+
+    def targets(self, hyper, state, batch, noise):
+        return batch.reward
+
+    def improve(self, hyper, state, batch, target, noise, last):
+        halves = batch.human.reshape(2, -1).mean(1)
+        return Counts(state.actor + jnp.stack([*halves, 1.0])), {}
+
+
+def test_all_minibatches_of_a_call_have_their_half():
+    agent = agents.make_agent(AgentConfig(human_data="half", batch_size=32))
+    layout, hyper = agent.layout, hyper_for(Method.SRL, Hyper())
+    frames = np.zeros((1, 512, layout.width), np.float32)
+    frames[0, ::8, layout.event] = frame.CUT_OFF
+    memory = replay.add(replay.init(512, 1, layout), jnp.asarray(frames))
+    state = agents.init(agent, jax.random.key(0))
+    state = dataclasses.replace(state, learner=Counts(jnp.zeros(3)))
+    agent = agent._replace(learner=Recording())
+    first, second, count = agents.learn(agent, hyper, state, memory, jnp.int32(0), 8).learner.actor
+    assert count == 8
+    assert first / count > 0.75  # 16 draws find one of 1 in 8 with a probability of 0.88.
+    assert second / count < 0.3
+
+
+def test_a_takeover_is_read_from_the_replay_as_the_humans():
+    """From what is booked of steps to what a learner is given."""
+    steps = np.zeros((1, 6, _LAYOUT.step_width), np.float32)
+    steps[0, :, 0] = np.arange(6)
+    for name, ticks in (
+        ("human_action", [1, 2, 4]),
+        ("control", [1, 2, 4]),
+        ("terminated", [4]),
+        ("final", [5]),
+    ):
+        steps[0, ticks, getattr(_LAYOUT, name)] = 1.0
+    nobody, nothing = np.zeros(1, bool), np.zeros(1, np.float32)
+    frames, _ = frames_of(steps, _LAYOUT, AgentConfig(), nothing, nobody, WALKER_ENDS)
+    memory = replay.add(replay.init(6, 1, _LAYOUT), jnp.asarray(frames))
+    told = _draw(memory)
+    by_frame = dict(zip(told.observation[:, 0].tolist(), told.human.tolist(), strict=True))
+    assert by_frame == {0.0: 0.0, 1.0: 1.0, 2.0: 1.0, 3.0: 0.0, 4.0: 0.0}

@@ -94,6 +94,11 @@ _FORESIGHT: Changes = {
 for the delay."""
 
 
+_IMITATION: Changes = {"human_data": "imitation"}
+_WEIGHT_50: Changes = {"extra": {"imitation_weight": 50.0}}
+_FASTEST: Changes = _FORESIGHT | {"learner": "td3-tqc"}
+
+
 def _without(part: str) -> Setting:
     parts = tuple(other for other in MARGIN_PARTS if other != part)
     return Setting(f"without {part}", _FORESIGHT | {"margin_parts": parts})
@@ -240,5 +245,14 @@ ABLATIONS: dict[str, Ablation] = {
             for start in (0.1, 0.4, 0.7, 1.0, 1.4)
         ),
         is_number=True,
+    ),
+    "human-data": Ablation(
+        "What the task learner makes of the human's steps",
+        (
+            Setting("transitions", _FASTEST, _HUMAN),
+            Setting("half", _FASTEST | {"human_data": "half"}, _HUMAN),
+            Setting("imitation, weight 10 (default)", _FASTEST | _IMITATION, _HUMAN),
+            Setting("weight 50", _FASTEST | _IMITATION | _WEIGHT_50, _HUMAN),
+        ),
     ),
 }
