@@ -191,7 +191,8 @@ def _warnings(rows: Rows) -> str:
         own = only(rows, indicator=name)
         shares, warned, low, high = pooled_share(own, "warned_falls", "falls", "false_alarm_share")
         [at] = np.flatnonzero(shares == _FALSE_ALARMS)
-        lines.append([name, f"{warned[at]:.2f} [{low[at]:.2f}, {high[at]:.2f}]"])
+        told = f"{warned[at]:.2f} [{low[at]:.2f}, {high[at]:.2f}]"
+        lines.append([name, "too few falls to say" if np.isnan(warned[at]) else told])
     columns = ("alarms by", "falls warned of 0.8 s before")
     return (
         "Alone, with an alarm at 1 % of the steps that no fall follows within a second:\n\n"

@@ -47,7 +47,7 @@ that chose a default has the seeds of tuning."""
 
 _BASE = "Settings change the options of `sweep --preset paper --learner td3-tqc`, the base.\n"
 _COMPARISONS = (
-    Compared("the defaults, but `--human.delay 0 --episodes 500`", "full"),
+    Compared("the defaults", "full"),
     Compared("`--preset paper --learner td3-tqc`", "ten_seeds"),
     Compared("`--preset paper`", "ten_seeds_ddpg"),
 )
