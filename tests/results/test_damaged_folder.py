@@ -101,7 +101,7 @@ def test_a_file_of_another_run_is_refused(folder, name):
     columns = make_episodes()
     columns["return"] = columns["return"] + 1.0
     tests = make_tests() | {"return": [1.0, 2.0]}
-    progress = tests | {"trained": [200, 400]}
+    progress = tests | {"trained": [2, 4]}
     params = {name: array + 1 for name, array in make_params().items()}
     steps = np.zeros((1, 9), np.float32)
     recordings = {"best": Recording(1, steps)}

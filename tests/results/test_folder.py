@@ -72,10 +72,10 @@ def test_a_run_without_tests_is_read_back(folder):
 
 def test_tests_during_training_are_kept_and_may_be_missing(folder):
     tests = make_tests()
-    progress = tests | {"trained": [200, 400]}
+    progress = tests | {"trained": [2, 4]}
     folder.save_run(KEY, make_episodes(), tests, make_params(), make_info(), progress)
     kept = folder.load_run(KEY).progress
-    assert kept["trained"].tolist() == [200, 400]
+    assert kept["trained"].tolist() == [2, 4]
     assert kept["mode"].tolist() == list(tests["mode"])
     # Older programs tested autonomously alone, and did not say so; still older ones did not test.
     as_of_format_1(folder.path / "runs/hitl-ac/seed-0003")
@@ -86,6 +86,14 @@ def test_tests_during_training_are_kept_and_may_be_missing(folder):
     assert folder.load_run(KEY).progress["mode"].tolist() == ["autonomous"] * 2
     file.unlink()
     assert len(folder.load_run(KEY).progress["trained"]) == 0
+
+
+def test_a_test_during_training_after_more_episodes_than_there_are_is_damage(folder):
+    tests = make_tests()
+    progress = tests | {"trained": [2, 5]}
+    folder.save_run(KEY, make_episodes(), tests, make_params(), make_info(), progress)
+    with pytest.raises(ResultsError, match="has 4 training episodes, and was tested during"):
+        folder.load_run(KEY)
 
 
 def test_runs_are_listed_by_method_then_seed(folder):
