@@ -18,8 +18,6 @@ from hitl_jax.types import BoundaryTransition
 SPAN = 64
 """Longest takeover that is looked at; of a longer one the rest is as if the machine acted."""
 
-_TRIES = 16
-
 
 def sample_decisions(
     memory: replay.Replay,
@@ -121,9 +119,11 @@ def _begins(
     """Numbers of the frames that are drawn, int32 [N]."""
     if not alarmed:
         return replay.starts(memory, layout, column, key, batch_size, SPAN)
-    begin = replay.starts(memory, layout, column, key, _TRIES * batch_size, SPAN)
-    begin = begin.reshape(_TRIES, batch_size)
-    # In the middle of a takeover alarms change nothing.
-    found = _came(memory, layout, column, begin, layout.boundary_reward) != 0.0
-    found &= ~_in_takeover(memory, layout, column, begin)
-    return jnp.take_along_axis(begin, jnp.argmax(found, axis=0)[None], axis=0)[0]
+    tries = replay.starts(memory, layout, column, key, replay.TRIES * batch_size, SPAN)
+
+    def wanted(frames: chex.Array) -> chex.Array:
+        alarms = _came(memory, layout, column, frames, layout.boundary_reward) != 0.0
+        # In the middle of a takeover alarms change nothing.
+        return alarms & ~_in_takeover(memory, layout, column, frames)
+
+    return replay.sought_starts(tries, wanted, batch_size)

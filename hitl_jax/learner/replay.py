@@ -15,21 +15,23 @@ through `sample_boundary`: it needs more of its columns than the task does.
 """
 
 import dataclasses
+import functools
 import math
+from collections.abc import Callable
 
 import chex
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from hitl_jax.learner.frame import CUT_OFF, FALL, Layout
-from hitl_jax.types import BoundaryTransition, Outcome, Transition
+from hitl_jax.learner.frame import CUT_OFF, Layout
+from hitl_jax.types import BoundaryTransition, Transition
 
 _OF_HUMAN = 2
 """What a key is folded with to seek the human's steps, so that the other draws stay as they are."""
 
-_TRIES = 16
-"""Draws for each start that is to be the human's step."""
+TRIES = 16
+"""Draws for each start that is sought among some of the frames."""
 
 _DRAWS = 2
 """Draws for each start. Frames that are final are passed over; the chance that all draws are final
@@ -181,7 +183,9 @@ def draw(
     if human_share:
         sought = math.ceil(human_share * (batch_size // num_batches))
         human_key, size = jax.random.fold_in(key, _OF_HUMAN), num_batches * sought
-        found = _human_starts(replay, layout, column, human_key, size, n_step)
+        tries = starts(replay, layout, column, human_key, TRIES * size, n_step)
+        is_wanted = functools.partial(is_human, replay, layout, column)
+        found = sought_starts(tries, is_wanted, size)
         rows = begin.reshape(num_batches, -1)
         begin = rows.at[:, :sought].set(found.reshape(num_batches, sought)).reshape(-1)
     window = (begin[:, None] + jnp.arange(n_step, dtype=jnp.int32)) % capacity
@@ -272,53 +276,6 @@ def sample_boundary(
     )
 
 
-def sample_outcomes(
-    replay: Replay,
-    layout: Layout,
-    column: chex.Array,
-    key: chex.PRNGKey,
-    batch_size: int,
-    horizon: int,
-    newest: chex.Array | int = 0,
-    count: chex.Array | int | None = None,
-) -> Outcome:
-    """Draws states of one run, uniformly, with what followed them within a horizon.
-
-    Args:
-        replay: the ring.
-        layout: its columns.
-        column: the run's column, [].
-        key: consumed.
-        batch_size: B.
-        horizon: H, steps.
-        newest: frames before the last H that are passed over, [].
-        count: frames before those from which is drawn, []; None is all.
-
-    Returns:
-        A minibatch, leading axis B. Frames from which the machine took no step do not count, and
-        none does where there is none to draw.
-    """
-    capacity = replay.seen.shape[1]
-    behind = jnp.maximum(num_starts(replay, column, horizon) - newest, 0)
-    count = behind if count is None else jnp.minimum(behind, count)
-    first = replay.cursor - horizon - newest - count
-    begin = first + jax.random.randint(key, (batch_size,), 0, jnp.maximum(count, 1), jnp.int32)
-    window = (begin[:, None] + jnp.arange(horizon, dtype=jnp.int32)) % capacity
-    events = replay.outcome[column, window, layout.event - layout.reward]
-    steps = jnp.argmax(events > 0.0, axis=1)  # 0 where nothing happened, as `event` then says.
-    event = jnp.take_along_axis(events, steps[:, None], axis=1)[:, 0]
-    cut_off = event == CUT_OFF
-    final = replay.outcome[column, window[:, 0], layout.final - layout.reward] > 0.5
-    return Outcome(
-        observation=replay.seen[column, window[:, 0], layout.observation],
-        fell=(event == FALL).astype(jnp.float32),
-        cut_off=cut_off.astype(jnp.float32),
-        last_observation=replay.seen[column, (begin + steps) % capacity, layout.observation],
-        explores=replay.outcome[column, window[:, 0], layout.explores - layout.reward],
-        counts=((count > 0) & ~final & ~(cut_off & (steps == 0))).astype(jnp.float32),
-    )
-
-
 def starts(
     replay: Replay,
     layout: Layout,
@@ -340,16 +297,18 @@ def starts(
     return oldest + jnp.where(still_final, beside, begin)
 
 
-def _human_starts(
-    replay: Replay,
-    layout: Layout,
-    column: chex.Array,
-    key: chex.PRNGKey,
-    batch_size: int,
-    n_step: int,
+def sought_starts(
+    starts: chex.Array, wanted: Callable[[chex.Array], chex.Array], batch_size: int
 ) -> chex.Array:
-    """As `starts`, each the first of 16 draws that is the human's step, or, if none is, any."""
-    begin = starts(replay, layout, column, key, _TRIES * batch_size, n_step)
-    begin = begin.reshape(_TRIES, batch_size)
-    first = jnp.argmax(is_human(replay, layout, column, begin), axis=0)
-    return jnp.take_along_axis(begin, first[None], axis=0)[0]
+    """Of `TRIES` numbers of frames for each place the first that is wanted, else the first of all.
+
+    Args:
+        starts: of `starts`, [`TRIES` · B].
+        wanted: maps numbers of frames to whether they are, bool [...].
+        batch_size: B.
+
+    Returns:
+        int32 [B].
+    """
+    tries = starts.reshape(TRIES, batch_size)
+    return jnp.take_along_axis(tries, jnp.argmax(wanted(tries), axis=0)[None], axis=0)[0]

@@ -13,6 +13,7 @@ from hitl_jax.learner import adam, networks, replay
 from hitl_jax.learner.frame import Layout
 from hitl_jax.learner.losses import Metrics
 from hitl_jax.risk.losses import calibration_loss, risk_loss, risk_target
+from hitl_jax.risk.outcomes import sample_outcomes
 from hitl_jax.types import Outcome, Params, RiskCritic, RiskState
 
 _HELD_OUT = 8000
@@ -86,8 +87,8 @@ class RiskLearner:
         keys = jax.random.split(key)
         held_out = jnp.minimum(_HELD_OUT, replay.num_starts(memory, column, self.horizon) // 4)
         sizes = self.batch_size, self.horizon
-        learned = replay.sample_outcomes(memory, layout, column, keys[0], *sizes, newest=held_out)
-        new = replay.sample_outcomes(memory, layout, column, keys[1], *sizes, count=held_out)
+        learned = sample_outcomes(memory, layout, column, keys[0], *sizes, newest=held_out)
+        new = sample_outcomes(memory, layout, column, keys[1], *sizes, count=held_out)
         return learned, new
 
     def improve(

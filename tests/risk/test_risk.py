@@ -9,6 +9,7 @@ from hitl_jax.config import RunHyper
 from hitl_jax.learner import replay
 from hitl_jax.learner.frame import CUT_OFF, FALL, FINISHED, GOES_ON, Layout
 from hitl_jax.risk import RiskLearner, risk_target
+from hitl_jax.risk.outcomes import sample_outcomes
 from hitl_jax.types import Outcome, RiskCritic
 
 _LAYOUT = Layout(2, 1)
@@ -26,7 +27,7 @@ def _ring(events, capacity=None):
 def _outcomes(events, **limits):
     """What is drawn, by the number of the frame."""
     memory = _ring(events)
-    drawn = replay.sample_outcomes(
+    drawn = sample_outcomes(
         memory, _LAYOUT, jnp.int32(0), jax.random.key(0), 512, _HORIZON, **limits
     )
     number = np.asarray(drawn.observation)[:, 0].astype(int)
@@ -53,7 +54,7 @@ def test_a_frame_without_a_step_does_not_count():
     memory = _ring([GOES_ON] * 20)
     final = _LAYOUT.final - _LAYOUT.reward
     memory = memory.replace(outcome=memory.outcome.at[0, 7, final].set(1.0))
-    drawn = replay.sample_outcomes(memory, _LAYOUT, jnp.int32(0), jax.random.key(1), 256, _HORIZON)
+    drawn = sample_outcomes(memory, _LAYOUT, jnp.int32(0), jax.random.key(1), 256, _HORIZON)
     number = np.asarray(drawn.observation)[:, 0]
     assert np.array_equal(np.asarray(drawn.counts) == 0.0, number == 7)
     assert (number == 7).any()
