@@ -113,10 +113,8 @@ def test_return_is_judged_at_equal_human_time(fix, ac, verdict):
 
 
 def test_before_the_first_test_the_return_rises_from_that_of_a_fall():
-    made = {
-        method: [_helped(method, seed, 50, 300.0) for seed in range(5)]
-        for method in ("srl", "hitl-fix", "hitl-ac")
-    }
+    methods = ("srl", "hitl-fix", "hitl-ac")
+    made = {m: [_helped(m, seed, 50, 300.0) for seed in range(5)] for m in methods}
     for run in made["hitl-ac"]:
         run.episodes["human_steps"][:] = 3000  # 60 s an episode, and 3000 s before the first test
     [claim] = [one for one in judge(made, 0.45, _BOUNDS) if one.name == "Return for human time"]
@@ -125,10 +123,8 @@ def test_before_the_first_test_the_return_rises_from_that_of_a_fall():
 
 
 def test_where_no_human_acts_there_is_no_human_time():
-    made = {
-        method: [_run(method, seed, 300, 200.0) for seed in range(5)]
-        for method in ("srl", "hitl-fix", "hitl-ac")
-    }
+    methods = ("srl", "hitl-fix", "hitl-ac")
+    made = {m: [_run(m, seed, 300, 200.0) for seed in range(5)] for m in methods}
     assert "Return for human time" not in [claim.name for claim in judge(made, 0.45, _BOUNDS)]
 
 
