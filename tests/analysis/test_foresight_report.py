@@ -106,3 +106,15 @@ def test_without_falls_nothing_is_divided_by_them(folder):
     with np.errstate(all="raise"):
         text = foresight(folder.path.parent, pytest.fail)
     assert "| judges | 5% | learned boundary | 25 [25, 25] | – | – |" in text
+
+
+def test_of_few_falls_no_share_is_told(folder):
+    """A fall of each of two walkers: a share of them would say nothing."""
+    path = folder.path / warning_figures.WARNINGS
+    rows = list(csv.reader(path.read_text().splitlines()))
+    for row in rows[1:]:
+        row[rows[0].index("falls")], row[rows[0].index("warned_falls")] = "1", "1"
+    _write(path, rows[0], rows[1:])
+    text = foresight(folder.path.parent, pytest.fail)
+    assert "| fall_risk | too few falls to say |" in text
+    assert "nan" not in text
