@@ -28,7 +28,7 @@ from hitl_jax.sweep import recorded_human, shards
 from hitl_jax.sweep.autosave import SAVE_SECONDS
 from hitl_jax.sweep.changes import Parts, changed
 from hitl_jax.sweep.launchers import LaunchOptions
-from hitl_jax.sweep.presets import PRESETS, Preset
+from hitl_jax.sweep.presets import HUMAN_PRESETS, PRESETS, Preset
 from hitl_jax.sweep.shards import Shard
 from hitl_jax.training.run_spec import LoopConfig, RunSpec, num_slots
 
@@ -46,6 +46,9 @@ class SweepOptions:
             `paper` has 10 seeds, 1000 episodes and 100 test episodes, and what section IV of the
             paper says, whatever the other defaults are: its kind of learner (`ddpg`), a human who
             judges the angle at once and resets the walker, a boundary that line 8 moves.
+        human_preset: the simulated human, with hands and feedback: `person` reacts after 0.2 s,
+            foresees falls and takes over; `ideal` judges the angle at once and resets the walker
+            (default: `ideal` with the preset `paper`, else `person`).
         methods: which of srl, hitl-fix, hitl-ac to run.
         seeds: number of seeds for each method (default: the preset's).
         first_seed: the first of them; the others follow.
@@ -71,6 +74,7 @@ class SweepOptions:
     """
 
     preset: str = "full"
+    human_preset: str | None = None
     methods: tuple[str, ...] = tuple(Method)
     seeds: int | None = None
     first_seed: int = 0
@@ -90,15 +94,18 @@ class SweepOptions:
     hyper: Annotated[Hyper, tyro.conf.arg(name="")] = Hyper()
 
     @classmethod
-    def of_preset(cls, preset: str) -> "SweepOptions":
-        """The options where nothing is given but the preset: its changes in the defaults' place.
+    def of_preset(cls, preset: str, human_preset: str | None = None) -> "SweepOptions":
+        """The options where only presets are given: their changes in the defaults' place.
 
         Args:
             preset: one of `PRESETS`.
+            human_preset: one of `HUMAN_PRESETS`, or None.
         """
-        parts = changed(PRESETS[preset].changes)
+        human = {} if human_preset is None else HUMAN_PRESETS[human_preset]
+        parts = changed(PRESETS[preset].changes | human)
         return cls(
             preset,
+            human_preset,
             human_policy=parts.human_policy,
             agent=parts.agent,
             loop=parts.loop,
@@ -107,14 +114,11 @@ class SweepOptions:
 
     @classmethod
     def defaults(cls, words: Sequence[str]) -> "SweepOptions":
-        """What is not given on a command line: of the preset that it names, the last if several."""
-        name = cls().preset
-        for word, following in itertools.pairwise([*words, ""]):
-            if word == "--preset":
-                name = following
-            elif word.startswith("--preset="):
-                name = word.partition("=")[2]
-        return cls.of_preset(name) if name in PRESETS else cls()
+        """What is not given on a command line: of the presets that it names, the last of each."""
+        preset = _last_given("preset", words) or cls().preset
+        human = _last_given("human-preset", words)
+        known = preset in PRESETS and (human is None or human in HUMAN_PRESETS)
+        return cls.of_preset(preset, human) if known else cls()
 
     def scale(self) -> Preset:
         """The preset, with what the options say in place of it."""
@@ -148,6 +152,8 @@ class SweepOptions:
             InvalidValue: one line with the name, the value and what is allowed.
         """
         one_of("preset", self.preset, tuple(PRESETS))
+        if self.human_preset is not None:
+            one_of("human_preset", self.human_preset, tuple(HUMAN_PRESETS))
         if self.backend is not None:
             BACKENDS.check(self.backend)
         known = list(Method)
@@ -169,7 +175,7 @@ class SweepOptions:
             runs = len(self.methods) * scale.seeds
             raise InvalidValue("shard", self.shard, f"has none of the {runs} runs")
         validate_hyper(self.hyper)
-        usual = self.of_preset(self.preset)
+        usual = self.of_preset(self.preset, self.human_preset)
         require_hands(self.agent, usual.agent, self.human_policy)
         if self.human != recorded_human.SIMULATED:
             require_no_simulated_judge(
@@ -182,6 +188,16 @@ class SweepOptions:
         if self.launch.launcher == "local":
             require_room(self.agent, self.loop, num_slots(len(self.specs()), self.slots))
         return self
+
+
+def _last_given(option: str, words: Sequence[str]) -> str | None:
+    """The value of an option on a command line, the last if there are several; None without it."""
+    given = None
+    for word, following in itertools.pairwise([*words, ""]):
+        name, sign, value = word.partition("=")
+        if name.replace("_", "-") == f"--{option}":
+            given = value if sign else following
+    return given
 
 
 def require_hands(agent: AgentConfig, usual: AgentConfig, human_policy: str | None) -> None:

@@ -1,10 +1,26 @@
 """Sweeps by name: how large one is, and what it changes of the defaults."""
 
 import dataclasses
+from collections.abc import Iterable
 
+from hitl_jax.config import AgentConfig, Hyper
 from hitl_jax.sweep.changes import Changes
 
-PAPER: Changes = {
+IDEAL: Changes = {
+    "danger": "threshold",
+    "tolerance": 0.45,
+    "delay": 0,
+    "intervention": "reset",
+    "human_reset_terminates": True,
+    "release": "judgement",
+    "human_actions": "scripted",
+    "takeover_steps": 10,
+    "feedback": -20.0,
+    "feedback_schedule": "step",
+}
+"""A human who judges at once, by the angle that c_t is, and ends the episode."""
+
+PAPER: Changes = IDEAL | {
     "learner": "ddpg",
     "human_data": "transitions",
     "noise_free_every": 4,
@@ -21,19 +37,21 @@ PAPER: Changes = {
     "boundary_noise": 0.02,
     "boundary_temperature": 0.0,
     "alarm_reward": 1.0,
-    "danger": "threshold",
-    "tolerance": 0.45,
-    "delay": 0,
-    "intervention": "reset",
-    "human_reset_terminates": True,
-    "release": "judgement",
-    "human_actions": "scripted",
-    "takeover_steps": 10,
-    "feedback": -20.0,
-    "feedback_schedule": "step",
 }
 """What section IV of the paper says, and for what it leaves open the simplest: its kind of learner,
-a human who judges at once by the angle that c_t is and ends the episode, and the Δ rule."""
+the human of `IDEAL`, and the Δ rule."""
+
+
+def _usual(names: Iterable[str]) -> Changes:
+    hyper = Hyper()
+    usual: Changes = {}
+    for default in (AgentConfig(), hyper, hyper.human):
+        usual |= {name: getattr(default, name) for name in names if hasattr(default, name)}
+    return usual
+
+
+HUMAN_PRESETS: dict[str, Changes] = {"person": _usual(IDEAL), "ideal": IDEAL}
+"""Simulated humans by name: what each is, whatever the sweep's preset says."""
 
 
 @dataclasses.dataclass(frozen=True)

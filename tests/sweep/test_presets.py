@@ -8,7 +8,7 @@ from hitl_jax.console.cli import BadInput, checking_input, parse
 from hitl_jax.errors import InvalidValue
 from hitl_jax.sweep.changes import changed
 from hitl_jax.sweep.options import SweepOptions
-from hitl_jax.sweep.presets import PAPER, PRESETS
+from hitl_jax.sweep.presets import HUMAN_PRESETS, IDEAL, PAPER, PRESETS
 
 
 def test_the_paper_s_options_are_taken_where_none_is_given():
@@ -52,6 +52,46 @@ def test_what_a_preset_says_of_the_human_is_not_refused_beside_a_file(preset, tm
         parse(SweepOptions, [*recorded, "--danger", "predictive"]).checked()
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--human-preset", "ideal"],
+        ["--human_preset=ideal"],
+        ["--human-preset", "person", "--preset", "full", "--human-preset", "ideal"],
+    ],
+)
+def test_a_human_preset_changes_the_human_alone(words):
+    options = parse(SweepOptions, words).checked()
+    expected = changed(IDEAL)
+    assert (options.agent, options.hyper) == (expected.agent, expected.hyper)
+    assert options.agent.learner == SweepOptions().agent.learner
+
+
+def test_a_person_beside_the_paper_s_learner():
+    options = parse(SweepOptions, ["--preset", "paper", "--human-preset", "person"]).checked()
+    usual, paper = SweepOptions(), SweepOptions.of_preset("paper")
+    assert options.hyper.human == usual.hyper.human != paper.hyper.human
+    assert options.hyper.feedback == usual.hyper.feedback
+    assert options.agent.human_actions == usual.agent.human_actions
+    assert options.agent.learner == paper.agent.learner
+
+
+def test_what_is_given_goes_before_the_human_preset():
+    words = ["--human-preset", "ideal", "--human.delay", "10", "--feedback", "-50"]
+    options = parse(SweepOptions, words).checked()
+    assert (options.hyper.human.delay, options.hyper.feedback) == (10, -50.0)
+    assert options.agent.intervention == "reset"
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("human", HUMAN_PRESETS)
+def test_every_two_presets_can_be_made(preset, human):
+    options = SweepOptions.of_preset(preset, human).checked()
+    assert (options.preset, options.human_preset) == (preset, human)
+    same = human == ("ideal" if preset == "paper" else "person")
+    assert same == (options.hyper == SweepOptions.of_preset(preset).hyper)
+
+
 def test_help_shows_the_preset_s_defaults(capsys):
     with pytest.raises(SystemExit):
         parse(SweepOptions, ["--preset", "paper", "--help"])
@@ -68,6 +108,8 @@ def test_a_preset_without_changes_is_a_size():
     [
         (["--preset", "best"], "--preset best: must be one of full, quick, paper"),
         (["--preset"], "--preset: a value is missing"),
+        (["--human-preset", "kind"], "--human-preset kind: must be one of person, ideal"),
+        (["--human-preset"], "--human-preset: a value is missing"),
         (["--preset", "paper", "--gamma", "2"], "--gamma 2.0: must be at least 0 and at most 1"),
         (["--preset", "paper", "--gama", "1"], "Unrecognized options: --gama"),
         (["--preset", "paper", "--feedback", "much"], "--feedback much"),
