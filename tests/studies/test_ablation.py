@@ -16,13 +16,15 @@ from hitl_jax.console.cli import run_main
 from hitl_jax.console.progress import Progress
 from hitl_jax.errors import ResultsError
 from hitl_jax.playback.load_trained import section_of
-from hitl_jax.results import episode_tables
+from hitl_jax.results import episode_tables, folder
 from hitl_jax.results.atomic_files import locked
 from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.run_key import RunKey
 from hitl_jax.studies.ablations import runs
+from hitl_jax.studies.ablations.late_training import late_training
 from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.settings import ABLATIONS, BASE, Ablation, Setting
-from hitl_jax.studies.ablations.store import Store, digest
+from hitl_jax.studies.ablations.store import LATE, Store, digest
 from hitl_jax.studies.ablations.table import Line, to_markdown
 from hitl_jax.sweep import autosave, train_and_test
 from hitl_jax.sweep.changes import changed
@@ -235,18 +237,55 @@ def test_a_foreign_file_is_refused(text, tmp_path):
         Store(path)
 
 
-def test_a_file_of_an_earlier_commit_is_read(copied):
+@pytest.mark.parametrize("lacking", [5, 6])
+def test_a_file_of_an_earlier_commit_is_read(copied, lacking):
     path = copied / "runs.csv"
     whole = Store(path)
     lines = path.read_text().splitlines()
-    assert lines[0].endswith(",wall_seconds,settled_boundary")
-    path.write_text("".join(line.rpartition(",")[0] + "\n" for line in lines))
+    assert lines[0].endswith(f",wall_seconds,{','.join(LATE)}")
+    kept = [line.rsplit(",", lacking)[0] for line in lines]
+    path.write_text("".join(f"{line}\n" for line in kept))
     earlier = Store(path)
     assert earlier.keys() == whole.keys()
     earlier.write()
-    assert [line.rpartition(",")[0] for line in path.read_text().splitlines()] == [
-        line.rpartition(",")[0] for line in lines
-    ]
+    assert [line.rsplit(",", lacking)[0] for line in path.read_text().splitlines()] == kept
+
+
+@pytest.mark.parametrize("lacking", [7, 8])
+def test_a_header_that_lacks_others_is_refused(copied, lacking):
+    path = copied / "runs.csv"
+    lines = path.read_text().splitlines()
+    path.write_text("".join(line.rsplit(",", lacking)[0] + "\n" for line in lines))
+    with pytest.raises(ResultsError, match="damaged: the header is not"):
+        Store(path)
+
+
+def test_what_became_of_the_last_episodes():
+    """Of ten episodes the last two: one with an intervention, one without."""
+    counts = np.array([1] * 8 + [2, 0])
+    episodes = {
+        "interventions": counts,
+        "shaped_return": np.arange(10.0),
+        "length": np.arange(10) + 100,
+        "mean_boundary": np.full(10, np.nan),
+    }
+    row = late_training(folder.Run(RunKey("hitl-fix", 0), {}, episodes, {}))
+    assert row.keys() == set(LATE)
+    assert row == {
+        "settled_boundary": None,
+        "late_intervened": 0.5,
+        "late_return_with": 8.0,
+        "late_return_without": 9.0,
+        "late_steps_with": 108.0,
+        "late_steps_without": 109.0,
+    }
+
+
+def test_where_no_last_episode_was_helped_there_is_no_mean():
+    none = {name: np.zeros(3) for name in ("interventions", "shaped_return", "length")}
+    row = late_training(folder.Run(RunKey("srl", 0), {}, none | {"mean_boundary": np.zeros(3)}, {}))
+    assert (row["late_intervened"], row["late_return_with"]) == (0.0, None)
+    assert row["late_return_without"] == 0.0
 
 
 def test_a_damaged_file_is_refused(copied, capsys):

@@ -4,15 +4,13 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-import numpy as np
-
-from hitl_jax.analysis.claims_on_training import mean_boundary
 from hitl_jax.analysis.summary import summarise_run
 from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.envs import require_backend
 from hitl_jax.results.episode_tables import EPISODE_COLUMNS, TEST_COLUMNS, to_columns, to_table
 from hitl_jax.results.folder import Run
 from hitl_jax.results.provenance import short_commit
+from hitl_jax.studies.ablations.late_training import late_training
 from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.settings import ABLATIONS, BASE, Ablation, Setting
 from hitl_jax.studies.ablations.store import Row, RunId, Store, digest
@@ -133,7 +131,5 @@ def summary_of(tested: Tested) -> Row:
     tests = to_table(to_columns(tested.tests, TEST_COLUMNS), TEST_COLUMNS)
     info = {"wall_seconds": tested.wall_seconds, "diverged": run.diverged}
     trained = Run(run.spec.key, info, episodes, tests)
-    row = summarise_run(trained)
-    settled = mean_boundary(trained)
-    row["settled_boundary"] = None if np.isnan(settled) else settled
+    row = summarise_run(trained) | late_training(trained)
     return {name: value for name, value in row.items() if name not in ("method", "seed")}

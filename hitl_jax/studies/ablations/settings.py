@@ -11,6 +11,7 @@ BASE: Changes = PAPER | {"learner": "td3-tqc"}
 """What settings change: the preset `paper` with the learner that trains fastest."""
 
 _AC = (Method.HITL_AC,)
+_FIX = (Method.HITL_FIX,)
 _HUMAN = (Method.HITL_FIX, Method.HITL_AC)
 
 
@@ -57,6 +58,12 @@ def _each(option: str, values: tuple[float, ...], methods: tuple[Method, ...]) -
 _TRAINED = "results/ten_seeds/runs/hitl-fix/seed-0009/params.npz"
 
 _TAKEOVER: Changes = {"intervention": "takeover"}
+_HELD: Changes = _TAKEOVER | {
+    "takeover_steps": 50,
+    "human_actions": "trained",
+    "feedback_schedule": "onset",
+}
+"""A takeover by a walker that can walk, for at least a second."""
 _NETWORK: Changes = {"boundary_source": "network"}
 _RESIDUAL: Changes = {"boundary_source": "residual"}
 
@@ -137,6 +144,28 @@ ABLATIONS: dict[str, Ablation] = {
             Setting("-100", {"feedback": -100.0}),
             Setting("-20, takeover, each step", _TAKEOVER),
             Setting("-20, takeover, once", _TAKEOVER | {"feedback_schedule": "episode"}),
+        ),
+    ),
+    "loophole": Ablation(
+        "Where being reset pays: intervention, feedback, and whether a reset ends the bootstrap",
+        (
+            *(
+                Setting(
+                    f"reset, {end}, {feedback:g}",
+                    {"human_reset_terminates": end == "terminal", "feedback": feedback},
+                    _FIX,
+                )
+                for end in ("terminal", "truncated")
+                for feedback in (0.0, -20.0, -100.0)
+            ),
+            Setting("takeover, 0", _HELD | {"feedback": 0.0}, _FIX),
+            Setting("takeover, onset, -10", _HELD | {"feedback": -10.0}, _FIX),
+            Setting(
+                "takeover, each step, -20",
+                _HELD | {"feedback": -20.0, "feedback_schedule": "step"},
+                _FIX,
+            ),
+            Setting("the default", _FASTEST | _IMITATION, _FIX),
         ),
     ),
     "source": Ablation(

@@ -19,10 +19,17 @@ from hitl_jax.sweep.train_and_test import policy_digest
 Row = dict[str, Any]
 """One run; measures are float, or None where there is no value."""
 
-_CAME_LATER = ("settled_boundary",)
-"""Measures that files of earlier commits lack."""
+LATE = (
+    "settled_boundary",
+    "late_intervened",
+    "late_return_with",
+    "late_return_without",
+    "late_steps_with",
+    "late_steps_without",
+)
+"""Measures of the end of training; files of earlier commits lack the last of them."""
 
-_MEASURES = (*(name for name in SUMMARY_COLUMNS if name not in ("method", "seed")), *_CAME_LATER)
+_MEASURES = (*(name for name in SUMMARY_COLUMNS if name not in ("method", "seed")), *LATE)
 _COLUMNS = ("setting", "method", "seed", "digest", "commit", *_MEASURES)
 
 
@@ -109,8 +116,8 @@ def _read(path: pathlib.Path) -> dict[RunId, Row]:
         return {}
     with named_errors(path):
         text = read_bytes(path).decode()
-        came_later = text.partition("\n")[0].split(",")[-len(_CAME_LATER) :] == list(_CAME_LATER)
-        cells = cells_from_csv(text, _COLUMNS if came_later else _COLUMNS[: -len(_CAME_LATER)])
+        has = len(text.partition("\n")[0].split(","))
+        cells = cells_from_csv(text, _COLUMNS[: max(has, len(_COLUMNS) - len(LATE))])
         rows = [
             _parse(dict(zip(cells, row, strict=True))) for row in zip(*cells.values(), strict=True)
         ]

@@ -38,6 +38,11 @@ _MEASURES = (
     ("alarm_agreement", "alarms confirmed", 2),
     ("final_boundary", "last boundary", 2),
     ("settled_boundary", "mean boundary of the last 20 episodes", 2),
+    ("late_intervened", "last fifth: episodes with an intervention", 2),
+    ("late_return_with", "return learned from in these", 0),
+    ("late_return_without", "in the others", 0),
+    ("late_steps_with", "steps in these", 0),
+    ("late_steps_without", "in the others", 0),
 )
 """(measure, heading, decimals); one that no run has is left out."""
 
