@@ -199,6 +199,8 @@ class Hyper:
         boundary_critic_learning_rate: α^ω.
         risk_learning_rate: Adam's step size for the risk critic.
         alarm_reward: ρ, the size of r'_t.
+        reward_weight: what r(s, a) counts in what is learned from; 0 leaves the human's feedback
+            alone, as in RLIF (https://arxiv.org/abs/2311.12996).
         feedback: r(s, a^h), negative for a punishment. Given once, at the first step of an
             intervention, unless the schedule says otherwise: with `step` a takeover of fifty steps
             pays it fifty times.
@@ -232,6 +234,7 @@ class Hyper:
     boundary_critic_learning_rate: float = number(1e-3, 0.0)
     risk_learning_rate: float = number(3e-4, 0.0)
     alarm_reward: float = number(15.0, 0)
+    reward_weight: float = number(1.0, 0.0)
     feedback: float = number(-10.0)
     takeover_steps: int = whole(50, 1, unit="steps")
     release_share: float = number(0.5, 0.0, 1.0, unit="1")

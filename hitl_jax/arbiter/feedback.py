@@ -59,8 +59,9 @@ def shaped_reward(
     began: chex.Array,
     ended: chex.Array,
     intervened: chex.Array,
+    weight: chex.Numeric = 1.0,
 ) -> chex.Array:
-    """r(s, a, u) = r(s, a) + u · r(s, a^h), equation (7).
+    """r(s, a, u) = w · r(s, a) + u · r(s, a^h); equation (7) where w is 1.
 
     The feedback "can be given at each time step, or after each episode" (section III). Host (NumPy)
     and device arrays both serve.
@@ -74,10 +75,12 @@ def shaped_reward(
         ended: whether this step ended the episode, bool [...].
         intervened: whether u was 1 at any step of the episode so far, this one included, bool
             [...].
+        weight: w, [...].
 
     Returns:
         The reward that is learned from, [...].
     """
     given = FEEDBACK_SCHEDULES.make(schedule)(control, began, ended, intervened)
     where: Any = jnp.where if isinstance(reward, jax.Array) else np.where
-    return reward + where(given, feedback, -0.0)  # To which -0 is added keeps its sign, if it is 0.
+    # What -0 is added to keeps its sign, if it is 0.
+    return weight * reward + where(given, feedback, -0.0)

@@ -139,8 +139,8 @@ class DeterministicActorCritic:
     ) -> tuple[LearnerState, losses.Metrics]:
         """Updates the critics, and where it is the `last`, actor and target networks."""
         del noise
-        grads, metrics = jax.grad(self.critic_loss, has_aux=True)(
-            state.critic, self.critic.apply, batch, target
+        grads, metrics = jax.grad(self._critic_loss, has_aux=True)(
+            state.critic, hyper, state.actor, batch, target
         )
         critic, critic_optimizer = adam.descend(
             state.critic, grads, state.critic_optimizer, hyper.critic_learning_rate
@@ -164,6 +164,25 @@ class DeterministicActorCritic:
             target_critic=optax.incremental_update(critic, state.target_critic, step),
         )
         return state, metrics | actor_metrics | {"actor_gradient_norm": optax.tree.norm(grads)}
+
+    def _critic_loss(
+        self, critic: Params, hyper: Any, actor: Params, batch: Transition, target: chex.ArrayTree
+    ) -> tuple[chex.Array, losses.Metrics]:
+        """The TD loss, and what is made of the human's steps."""
+        loss, metrics = self.critic_loss(critic, self.critic.apply, batch, target)
+        if not self.human_data.changes_critic:
+            return loss, metrics
+        taken, machine = (
+            self._values(critic, batch.observation, action)
+            for action in (batch.action, self.actor.apply(actor, batch.observation))
+        )
+        of_human = self.human_data.critic_loss(hyper.extra, taken, machine, batch)
+        return loss + of_human, metrics | {"human_critic_loss": of_human}
+
+    def _values(self, critic: Params, observation: chex.Array, action: chex.Array) -> chex.Array:
+        """Q_e(s, a), [E, B]: of quantiles the mean."""
+        answer: Any = self.critic.apply(critic, observation, action)
+        return answer if self.num_quantiles is None else jnp.mean(answer, axis=-1)
 
     def _actor_loss(
         self, actor: Params, hyper: Any, critic: Params, batch: Transition

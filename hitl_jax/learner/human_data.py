@@ -17,7 +17,8 @@ from hitl_jax.choices.registry import Registry, having
 from hitl_jax.types import Transition
 
 WEIGHT = "imitation_weight"
-"""Name of the option, in `Hyper.extra`."""
+BOUND = "proxy_value"
+"""Names of the options, in `Hyper.extra`."""
 
 
 class HumanData(Protocol):
@@ -27,6 +28,7 @@ class HumanData(Protocol):
         share: of each minibatch, what is sought among the human's steps, 0 to 1. Where too few are
             found, others take their place.
         changes_actor: whether `actor_loss` is asked.
+        changes_critic: whether `critic_loss` is asked.
         options: traced numbers of its own; they are in `hyper.extra`, by name.
     """
 
@@ -38,6 +40,10 @@ class HumanData(Protocol):
 
     @property
     def changes_actor(self) -> bool:
+        """See above."""
+
+    @property
+    def changes_critic(self) -> bool:
         """See above."""
 
     @property
@@ -55,6 +61,22 @@ class HumanData(Protocol):
             batch: leading axis B.
         """
 
+    def critic_loss(
+        self,
+        extra: Mapping[str, chex.Array],
+        taken: chex.Array,
+        machine: chex.Array,
+        batch: Transition,
+    ) -> chex.Array:
+        """What the critics descend beside their own loss, [].
+
+        Args:
+            extra: see `actor_loss`.
+            taken: Q_e(s, a) of the actions that were taken, [E, B].
+            machine: Q_e(s, μ(s)), [E, B]; the actor is not changed by it.
+            batch: leading axis B.
+        """
+
 
 def _require_usable(choice: HumanData) -> None:
     """Checks what a choice says of itself; InvalidValue is one line."""
@@ -65,7 +87,7 @@ def _require_usable(choice: HumanData) -> None:
 HUMAN_DATA: Registry[HumanData] = Registry(
     "use of human steps",
     "human_data",
-    having("share", "changes_actor", "options", "actor_loss"),
+    having("share", "changes_actor", "changes_critic", "options", "actor_loss", "critic_loss"),
     require=_require_usable,
 )
 
@@ -77,11 +99,13 @@ class Drawn:
     Attributes:
         share: see `HumanData`.
         changes_actor: it does not.
+        changes_critic: it does not.
         options: none.
     """
 
     share: float = 0.0
     changes_actor: bool = False
+    changes_critic: bool = False
     options: tuple[Option, ...] = ()
 
     def actor_loss(
@@ -91,9 +115,20 @@ class Drawn:
         del extra, action, batch
         return jnp.zeros((), jnp.float32)
 
+    def critic_loss(
+        self,
+        extra: Mapping[str, chex.Array],
+        taken: chex.Array,
+        machine: chex.Array,
+        batch: Transition,
+    ) -> chex.Array:
+        """0."""
+        del extra, taken, machine, batch
+        return jnp.zeros((), jnp.float32)
+
 
 @dataclasses.dataclass(frozen=True)
-class Imitated:
+class Imitated(Drawn):
     """The actor is also pulled to what the human did, where the human acted.
 
     Attributes:
@@ -102,7 +137,6 @@ class Imitated:
         options: the pull.
     """
 
-    share: float = 0.0
     changes_actor: bool = True
     options: tuple[Option, ...] = (
         Option(WEIGHT, 10.0, "what a squared distance of 1 from a^h costs", "return", 0.0),
@@ -117,6 +151,40 @@ class Imitated:
         chex.assert_equal_shape([action, batch.action])
         distance = jnp.sum(jnp.square(action - batch.action), axis=-1)
         return extra[WEIGHT] * jnp.mean(batch.human * distance)
+
+
+@dataclasses.dataclass(frozen=True)
+class Valued(Drawn):
+    """The critics are told what the human's action is worth, and what the machine's is.
+
+    Attributes:
+        share: see `HumanData`.
+        changes_critic: it does.
+        options: the value that is told.
+    """
+
+    changes_critic: bool = True
+    options: tuple[Option, ...] = (
+        Option(BOUND, 10.0, "what a^h is told to be worth, and the machine's action not", "return"),
+    )
+
+    def critic_loss(
+        self,
+        extra: Mapping[str, chex.Array],
+        taken: chex.Array,
+        machine: chex.Array,
+        batch: Transition,
+    ) -> chex.Array:
+        """The mean over the minibatch of Σ_e (Q_e(s, a^h) - B)² + (Q_e(s, μ(s)) + B)², [].
+
+        0 at steps that the human did not take.
+        """
+        if batch.human is None:
+            return jnp.zeros((), jnp.float32)
+        chex.assert_equal_shape([taken, machine])
+        bound = extra[BOUND]
+        each = jnp.square(taken - bound) + jnp.square(machine + bound)
+        return jnp.mean(batch.human * jnp.sum(each, axis=0))
 
 
 @HUMAN_DATA.register("transitions", "they are transitions as any other")
@@ -150,3 +218,14 @@ def imitation() -> HumanData:
 def half_imitation() -> HumanData:
     """`half` and `imitation`."""
     return Imitated(share=0.5)
+
+
+@HUMAN_DATA.register("proxy", "the critics are told that the human's actions are worth more")
+def proxy() -> HumanData:
+    """The proxy values of PVP (https://github.com/metadriverse/pvp), and `half`.
+
+    There the machine's action is the one that the human overruled, B is 1, and no reward is learned
+    from (`reward_weight` 0). Here it is what the actor would do now: where it has come to do what
+    the human does, the two values cancel.
+    """
+    return Valued(share=0.5)

@@ -58,7 +58,8 @@ class TaskLearner(Protocol):
 
     One that can imitate the human has an attribute `human_data`, what `HUMAN_DATA.make` gives for
     `config.human_data`, and adds its `actor_loss(hyper.extra, action, batch)` to the actor's loss
-    where it `changes_actor`. Beside a learner without the attribute such choices are refused.
+    where it `changes_actor`, and its `critic_loss` to the critics' where it `changes_critic`.
+    Beside a learner without the attribute such choices are refused.
     """
 
     def __hash__(self) -> int: ...

@@ -119,7 +119,7 @@ class FrameStore:
             stands = np.isin(self._label[places], [label.number for label in labels])
         control, live = flags["control"][places] & stands, flags["live"][places]
         feedback = np.float32(self._hyper.feedback)
-        given = "step", control, control, control
+        given = "step", control, control, control, np.float32(self._hyper.reward_weight)
         shaped = shaped_reward(self._reward[places], control, feedback, *given)
         ended, cut, reset, acted = (
             flags[name][places]

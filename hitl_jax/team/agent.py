@@ -139,7 +139,7 @@ def _require_sizes(agent: Agent) -> None:
 def _require_looked_at(agent: Agent) -> None:
     """Refuses a use of human steps beside a learner that makes something else of them."""
     chosen, has = agent.human_data, getattr(agent.learner, "human_data", None)
-    if has is None and chosen.changes_actor:
+    if has is None and (chosen.changes_actor or chosen.changes_critic):
         why = "this task learner does not look at it: must be `transitions` or `half`"
         raise InvalidValue("human_data", agent.config.human_data, why)
     if has is not None and has != chosen:

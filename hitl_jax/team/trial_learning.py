@@ -112,8 +112,12 @@ def _improve(
 def try_human_data(agent: Agent, given: Given) -> None:
     """Tries what is made of the human's steps; see `state_of_learner`."""
     chosen, rows = agent.human_data, agent.config.batch_size
+    blamed = Blamed("human_data", agent.config.human_data)
+    if chosen.changes_critic:
+        values, batch = floats(2, rows), _batch(given, rows)
+        loss = blamed.shapes(chosen.critic_loss, given.hyper.extra, values, values, batch)
+        blamed.require(loss, "one number")
     if chosen.changes_actor:
-        blamed = Blamed("human_data", agent.config.human_data)
         action = floats(rows, *given.noise.shape)
         loss = blamed.shapes(chosen.actor_loss, given.hyper.extra, action, _batch(given, rows))
         blamed.require(loss, "one number")

@@ -150,6 +150,7 @@ def frames_of(
     steps: np.ndarray,
     layout: Layout,
     config: AgentConfig,
+    weight: np.ndarray,
     feedback: np.ndarray,
     intervened: np.ndarray,
     ends: EndRule,
@@ -160,6 +161,7 @@ def frames_of(
         steps: of R runs at U ticks, [R, U, W + 6]; zeros where the plant was not asked.
         layout: columns.
         config: when the human's feedback is given, and whether a reset ends the bootstrap.
+        weight: of the environment's reward, [R].
         feedback: r(s, a^h), [R].
         intervened: whether the human intervened in the episode under way before, bool [R].
         ends: what it means that the environment ends an episode.
@@ -177,7 +179,9 @@ def frames_of(
     so_far, intervened = _intervened(control, ended, intervened)
     reward, schedule = frames[..., layout.reward], config.feedback_schedule
     began = live & flag_of(steps, layout, "began")
-    shaped = shaped_reward(reward, control, feedback[:, None], schedule, began, ended, so_far)
+    shaped = shaped_reward(
+        reward, control, feedback[:, None], schedule, began, ended, so_far, weight[:, None]
+    )
     human_action = flag_of(steps, layout, "human_action")
     event = event_of(reward, terminated, truncated, human_reset, human_action, ends)
     frames[..., layout.event] = np.where(live, event, GOES_ON)
@@ -202,8 +206,9 @@ def episode_of(steps: np.ndarray, layout: Layout, config: AgentConfig, hyper: Ru
     ended = np.zeros(len(steps), bool)
     ended[-1] = True
     so_far = np.logical_or.accumulate(control)
-    feedback, schedule = float(hyper.feedback), config.feedback_schedule
-    shaped = shaped_reward(reward, control, feedback, schedule, flags.began, ended, so_far)
+    feedback, weight = float(hyper.feedback), float(hyper.reward_weight)
+    given = config.feedback_schedule, flags.began, ended, so_far, weight
+    shaped = shaped_reward(reward, control, feedback, *given)
     known = hyper.has_arbiter > 0
     return Episode(
         reward=reward,

@@ -58,7 +58,7 @@ class TickRecorder:
         self._runs: list[Run | None] = [None] * num_slots
         self._log = EpisodeLog(num_slots, self.logged.step_width)
         self._intervened = np.zeros(num_slots, bool)  # In the episode under way, before this chunk.
-        self._feedback = np.zeros(num_slots)
+        self._weight, self._feedback = np.ones(num_slots), np.zeros(num_slots)
         self._ended: dict[int, Run] = {}
 
     def begin(self, run: Run) -> None:
@@ -67,6 +67,7 @@ class TickRecorder:
         self._runs[slot] = run
         self._log.begin(slot)
         self._intervened[slot] = False
+        self._weight[slot] = run.spec.hyper.reward_weight
         self._feedback[slot] = run.spec.hyper.feedback
         self.slots.active[slot] = True
         self.slots.needs_reset[slot] = True
@@ -124,8 +125,9 @@ class TickRecorder:
             slots.observation = answer.observation.copy()
             for slot in end.ended.nonzero()[0].tolist():
                 self._end_episode(slot)
+        rewards = self._weight, self._feedback
         frames, self._intervened = frames_of(
-            steps, layout, self._config, self._feedback, self._intervened, self._ends
+            steps, layout, self._config, *rewards, self._intervened, self._ends
         )
         for run in self.runs():
             run.ticks += self._chunk

@@ -9,7 +9,7 @@ from flax import struct
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.errors import InvalidValue
 from hitl_jax.learner import frame, replay
-from hitl_jax.learner.human_data import HUMAN_DATA, WEIGHT, Drawn
+from hitl_jax.learner.human_data import BOUND, HUMAN_DATA, WEIGHT, Drawn
 from hitl_jax.results.episode_measures import WALKER_ENDS
 from hitl_jax.team import agent as agents
 from hitl_jax.training.step_booking import frames_of
@@ -82,6 +82,36 @@ def test_imitation_by_hand():
     np.testing.assert_allclose(loss, 3.0 * np.square(batch.action[1::2]).sum() / 8, rtol=1e-6)
 
 
+def test_proxy_values_by_hand():
+    batch = _batch()
+    taken, machine = jnp.ones((2, 8)), jnp.zeros((2, 8))
+    loss = HUMAN_DATA.make("proxy").critic_loss({BOUND: jnp.float32(3.0)}, taken, machine, batch)
+    np.testing.assert_allclose(loss, 2 * (2.0**2 + 3.0**2) / 2, rtol=1e-6)
+
+
+@pytest.mark.parametrize("learner", ["ddpg", "td3", "td3-tqc"])
+def test_the_critics_come_to_prefer_what_the_human_did(learner):
+    """In the states in which the human acted, and there alone."""
+    config = AgentConfig(learner=learner, human_data="proxy", hidden_sizes=(32, 32))
+    agent, batch = agents.make_agent(config), _batch()
+    hyper = hyper_for(Method.HITL_AC, Hyper(actor_learning_rate=0.0))
+    state = agents.init(agent, jax.random.key(0))
+    noise = jnp.zeros((8, agent.learner.noise_size))
+    step = jax.jit(lambda state: agents.update(agent, hyper, state, batch, noise)[0])
+    for _ in range(600):
+        state = step(state)
+    learned, actor = state.learner, agent.learner.actor
+    machine = actor.apply(learned.actor, batch.observation)
+    answers = (
+        agent.learner.critic.apply(learned.critic, batch.observation, action)
+        for action in (batch.action, machine)
+    )
+    of_human, of_machine = (np.asarray(q).reshape(len(q), 8, -1).mean((0, 2)) for q in answers)
+    assert (of_human[1::2] > 3.0).all()
+    assert (of_machine[1::2] < -3.0).all()
+    assert np.abs(of_human[::2]).max() < 3.0
+
+
 @pytest.mark.parametrize("learner", ["ddpg", "td3", "td3-tqc"])
 def test_the_actor_comes_to_do_what_the_human_did(learner):
     """In the states in which the human acted, and there alone, with a pull beside the value."""
@@ -116,8 +146,10 @@ def test_a_learner_that_does_not_look_at_it_is_refused():
 
     deaf = Deaf(AgentConfig().task_learner)
     agents.make_agent(AgentConfig(human_data="half"), learner=deaf)
-    with pytest.raises(InvalidValue, match="human_data imitation: this task learner does not look"):
-        agents.make_agent(AgentConfig(human_data="imitation"), learner=deaf)
+    for name in ("imitation", "proxy"):
+        said = f"human_data {name}: this task learner does not look"
+        with pytest.raises(InvalidValue, match=said):
+            agents.make_agent(AgentConfig(human_data=name), learner=deaf)
 
 
 @pytest.mark.parametrize("share", [1.5, -0.1, None, float("nan")])
@@ -136,9 +168,20 @@ class Wrong(Drawn):
         return jnp.zeros(3)
 
 
-def test_one_of_ones_own_that_gives_no_number_is_refused():
-    with pytest.raises(InvalidValue, match=f"human_data {__name__}:Wrong: .*one number"):
-        agents.make_agent(AgentConfig(human_data=f"{__name__}:Wrong"))
+@dataclasses.dataclass(frozen=True)
+class WrongOfCritics(Drawn):
+    """Likewise."""
+
+    changes_critic: bool = True
+
+    def critic_loss(self, extra, taken, machine, batch):
+        return taken
+
+
+@pytest.mark.parametrize("name", ["Wrong", "WrongOfCritics"])
+def test_one_of_ones_own_that_gives_no_number_is_refused(name):
+    with pytest.raises(InvalidValue, match=f"human_data {__name__}:{name}: .*one number"):
+        agents.make_agent(AgentConfig(human_data=f"{__name__}:{name}"))
 
 
 def test_transitions_of_ones_own_need_not_say_who_acted():
@@ -218,8 +261,8 @@ def test_a_takeover_is_read_from_the_replay_as_the_humans():
         ("final", [5]),
     ):
         steps[0, ticks, getattr(_LAYOUT, name)] = 1.0
-    nobody, nothing = np.zeros(1, bool), np.zeros(1, np.float32)
-    frames, _ = frames_of(steps, _LAYOUT, AgentConfig(), nothing, nobody, WALKER_ENDS)
+    rewards, nobody = (np.ones(1), np.zeros(1)), np.zeros(1, bool)
+    frames, _ = frames_of(steps, _LAYOUT, AgentConfig(), *rewards, nobody, WALKER_ENDS)
     memory = replay.add(replay.init(6, 1, _LAYOUT), jnp.asarray(frames))
     told = _draw(memory)
     by_frame = dict(zip(told.observation[:, 0].tolist(), told.human.tolist(), strict=True))

@@ -32,10 +32,10 @@ def _steps(count, layout=_LAYOUT, **flags):
     return steps
 
 
-def _frames(config, intervened=False, **flags):
+def _frames(config, intervened=False, weight=1.0, **flags):
     steps = _steps(4, **flags)
-    before = np.array([intervened])
-    frames, after = frames_of(steps[None], _LAYOUT, config, np.array([-10.0]), before, WALKER_ENDS)
+    before, rewards = np.array([intervened]), (np.array([weight]), np.array([-10.0]))
+    frames, after = frames_of(steps[None], _LAYOUT, config, *rewards, before, WALKER_ENDS)
     [frames] = frames
     ends = frames[:, _LAYOUT.terminated].tolist(), frames[:, _LAYOUT.truncated].tolist()
     return frames[:, _LAYOUT.reward].tolist(), ends, bool(after[0])
@@ -102,11 +102,21 @@ def test_what_became_of_the_machines_walk_is_stored(event, flags):
     steps = _steps(1, **{name: [0] for name in flags if name != "fell"})
     if "fell" in flags:
         steps[0, _LAYOUT.reward] = -100.0
-    given = paper_config(), np.zeros(1), np.zeros(1, bool)
+    given = paper_config(), np.ones(1), np.zeros(1), np.zeros(1, bool)
     frames, _ = frames_of(steps[None], _LAYOUT, *given, WALKER_ENDS)
     assert frames[0, 0, _LAYOUT.event] == event
     frames, _ = frames_of(steps[None], _LAYOUT, *given, UNKNOWN_ENDS)
     assert frames[0, 0, _LAYOUT.event] == (GOES_ON if event == GOES_ON else CUT_OFF)
+
+
+def test_the_environments_reward_counts_as_much_as_its_weight():
+    """0 leaves the human's feedback alone, in the replay and in the episode's table."""
+    config, begins = paper_config(feedback_schedule="onset"), {"control": [1, 2], "began": [1]}
+    assert _frames(config, weight=0.0, **begins)[0] == [0.0, -10.0, 0.0, 0.0]
+    assert _frames(config, weight=0.5, **begins)[0] == [0.5, -9.5, 0.5, 0.5]
+    hyper = _HYPER.replace(reward_weight=0.0)
+    episode = episode_of(_steps(3, _LOGGED, terminated=[2], **begins), _LOGGED, config, hyper)
+    assert (episode.reward.sum(), episode.shaped.sum()) == (3.0, -10.0)
 
 
 @pytest.mark.parametrize(
