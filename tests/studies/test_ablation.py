@@ -317,6 +317,14 @@ def test_bad_input_is_one_line(args, said, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "label"), [("exploration", "0.1 (default)"), ("loophole", "the default")]
+)
+def test_the_default_is_a_setting(name, label):
+    [setting] = [one for one in ABLATIONS[name].settings if one.label == label]
+    assert changed(BASE | setting.changes) == changed({})
+
+
 @pytest.mark.parametrize("name", ["boundary-parts", "boundary-start"])
 def test_the_ablations_of_the_boundary_start_from_what_is_kept(name):
     kept = ResultsFolder(pathlib.Path(__file__).parents[2] / "results" / "foresight_120")

@@ -97,13 +97,15 @@ _FORESIGHT: Changes = {
     "boundary_noise": 0.1,
     "boundary_temperature": 10.0,
 }
-"""The defaults, but `ddpg` and human steps as any other; `foresight_120` in results/README.md, but
-for the delay."""
+"""The defaults, but `ddpg`, human steps as any other, and more noise; `foresight_120` in
+results/README.md, but for the delay."""
 
 
 _IMITATION: Changes = {"human_data": "imitation"}
 _WEIGHT_50: Changes = {"extra": {"imitation_weight": 50.0}}
 _FASTEST: Changes = _FORESIGHT | {"learner": "td3-tqc"}
+_DEFAULT: Changes = _FASTEST | _IMITATION | {"exploration_noise": 0.1}
+"""Of `BASE`, what makes the defaults of it."""
 
 
 def _without(part: str) -> Setting:
@@ -130,8 +132,8 @@ ABLATIONS: dict[str, Ablation] = {
     "exploration": Ablation(
         "Standard deviation of the exploration noise",
         (
-            *_each("exploration_noise", (0.1, 0.2), tuple(Method)),
-            Setting("0.3 (base)", methods=tuple(Method)),
+            Setting("0.1 (default)", _DEFAULT, tuple(Method)),
+            Setting("0.3", _DEFAULT | {"exploration_noise": 0.3}, tuple(Method)),
         ),
         is_number=True,
     ),
@@ -165,7 +167,7 @@ ABLATIONS: dict[str, Ablation] = {
                 _HELD | {"feedback": -20.0, "feedback_schedule": "step"},
                 _FIX,
             ),
-            Setting("the default", _FASTEST | _IMITATION, _FIX),
+            Setting("the default", _DEFAULT, _FIX),
         ),
     ),
     "source": Ablation(
