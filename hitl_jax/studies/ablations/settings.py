@@ -277,6 +277,14 @@ ABLATIONS: dict[str, Ablation] = {
         ),
         is_number=True,
     ),
+    "fixed-boundary": Ablation(
+        "Which fixed boundary serves learning, and what it asks of the human: τ_0 [rad]",
+        tuple(
+            Setting(f"{start:g}", _DEFAULT | {"initial_boundary": start}, _FIX)
+            for start in (0.1, 0.2, 0.3, 0.45, 0.7, 1.0)
+        ),
+        is_number=True,
+    ),
     "human-data": Ablation(
         "What the task learner makes of the human's steps",
         (
