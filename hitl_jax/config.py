@@ -217,7 +217,7 @@ class Hyper:
     gamma: float = number(0.98, 0.0, 1.0, unit="1")
     target_noise: float = number(0.2, 0)
     target_noise_clip: float = number(0.5, 0)
-    exploration_noise: float = number(0.1, 0)
+    exploration_noise: float = number(0.3, 0)
     noise_correlation: float = number(0.8, 0.0, 0.999, unit="1")
     noise_free_every: int = whole(2)
     unattended_every: int = whole(4)

@@ -23,7 +23,6 @@ IDEAL: Changes = {
 PAPER: Changes = IDEAL | {
     "learner": "ddpg",
     "human_data": "transitions",
-    "exploration_noise": 0.3,
     "noise_free_every": 4,
     "unattended_every": 0,
     "boundary_source": "rule",

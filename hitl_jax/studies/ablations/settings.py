@@ -97,14 +97,14 @@ _FORESIGHT: Changes = {
     "boundary_noise": 0.1,
     "boundary_temperature": 10.0,
 }
-"""The defaults, but `ddpg`, human steps as any other, and more noise; `foresight_120` in
-results/README.md, but for the delay."""
+"""The defaults, but `ddpg` and human steps as any other; `foresight_120` in results/README.md, but
+for the delay."""
 
 
 _IMITATION: Changes = {"human_data": "imitation"}
 _WEIGHT_50: Changes = {"extra": {"imitation_weight": 50.0}}
 _FASTEST: Changes = _FORESIGHT | {"learner": "td3-tqc"}
-_DEFAULT: Changes = _FASTEST | _IMITATION | {"exploration_noise": 0.1}
+_DEFAULT: Changes = _FASTEST | _IMITATION
 """Of `BASE`, what makes the defaults of it."""
 
 
@@ -132,8 +132,8 @@ ABLATIONS: dict[str, Ablation] = {
     "exploration": Ablation(
         "Standard deviation of the exploration noise",
         (
-            Setting("0.1 (default)", _DEFAULT, tuple(Method)),
-            Setting("0.3", _DEFAULT | {"exploration_noise": 0.3}, tuple(Method)),
+            Setting("0.1", _DEFAULT | {"exploration_noise": 0.1}, tuple(Method)),
+            Setting("0.3 (default)", _DEFAULT, tuple(Method)),
         ),
         is_number=True,
     ),
