@@ -176,6 +176,8 @@ class Hyper:
         target_noise: standard deviation of TD3's target smoothing, in units of action.
         target_noise_clip: bound of that noise.
         exploration_noise: standard deviation of the action noise, in units of action.
+        noise_steps: environment steps over which the action noise fades evenly to nothing; 0 keeps
+            it as it is.
         noise_correlation: correlation of the action noise from step to step; 0 is white. The noise
             starts from 0 in every episode.
         noise_free_every: of so many training episodes the last is played without action noise, as
@@ -218,6 +220,7 @@ class Hyper:
     target_noise: float = number(0.2, 0)
     target_noise_clip: float = number(0.5, 0)
     exploration_noise: float = number(0.3, 0)
+    noise_steps: int = whole(300_000, unit="steps")
     noise_correlation: float = number(0.8, 0.0, 0.999, unit="1")
     noise_free_every: int = whole(2)
     unattended_every: int = whole(4)

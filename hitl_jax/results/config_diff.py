@@ -32,6 +32,7 @@ CAME_LATER: dict[str, dict[str, Any]] = {
         "extra": {},
         "risk_learning_rate": 3e-4,
         "unattended_every": 0,
+        "noise_steps": 0,
         "reward_weight": 1.0,
         "boundary_temperature": 0.0,
     },

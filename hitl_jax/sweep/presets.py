@@ -23,6 +23,7 @@ IDEAL: Changes = {
 PAPER: Changes = IDEAL | {
     "learner": "ddpg",
     "human_data": "transitions",
+    "noise_steps": 0,
     "noise_free_every": 4,
     "unattended_every": 0,
     "boundary_source": "rule",

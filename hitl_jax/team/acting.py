@@ -297,7 +297,7 @@ def _explore(
     rho = hyper.noise_correlation
     fresh = jax.random.normal(key, state.noise.shape, jnp.float32)
     noise = rho * state.noise + jnp.sqrt(1.0 - rho**2) * fresh
-    scale = jnp.where(_noise_free(hyper, state), 0.0, hyper.exploration_noise)
+    scale = jnp.where(_noise_free(hyper, state), 0.0, _noise_scale(hyper, state.steps))
     action = agent.learner.act(hyper, actor, observation, noise, scale)
     return noise, jnp.clip(action, -1.0, 1.0)
 
@@ -307,9 +307,15 @@ def _noise_free(hyper: RunHyper, state: ActingState) -> chex.Array:
     return _is_last_of(state.episodes, hyper.noise_free_every)
 
 
+def _noise_scale(hyper: RunHyper, steps: chex.Array) -> chex.Array:
+    """The standard deviation of the action noise after so many steps of the run, []."""
+    faded = jnp.minimum(steps / jnp.maximum(hyper.noise_steps, 1), 1.0)
+    return hyper.exploration_noise * jnp.where(hyper.noise_steps > 0, 1.0 - faded, 1.0)
+
+
 def _explores(hyper: RunHyper, state: ActingState) -> chex.Array:
     """Whether the machine's action is not as in a test, where some episodes' are."""
-    noisy = ~_noise_free(hyper, state) & (hyper.exploration_noise > 0)
+    noisy = ~_noise_free(hyper, state) & (_noise_scale(hyper, state.steps) > 0)
     return (hyper.noise_free_every > 0) & (noisy | acts_at_random(hyper, state.steps))
 
 

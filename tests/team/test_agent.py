@@ -320,6 +320,26 @@ def test_exploration_noise_has_its_scale_and_correlation():
     np.testing.assert_allclose(correlation, 0.8, atol=0.02)
 
 
+def test_exploration_noise_fades_evenly_over_its_steps():
+    agent = agents.make_agent(_config())
+    hyper = paper_hyper(
+        exploration_noise=0.1,
+        noise_steps=9_000,
+        noise_correlation=0.0,
+        noise_free_every=0,
+        warmup_steps=0,
+    )
+    params = agents.behavior(compiled.init(agent, jax.random.key(1)))
+    observations = _walk([0.0] * 12_000)
+    _, decision = _act_many(agent, hyper_for(Method.SRL, hyper), observations)
+    noise = np.asarray(decision.action - agent.learner.actor.apply(params.actor, observations))
+    parts = noise.reshape(4, 3_000, -1).std(axis=(1, 2))
+    # Of 0.1 (1 - t) over a third, the root of the mean square; the standard error is 0.0007.
+    faded = 0.1 * np.sqrt(np.diff(np.array([0, 1, 8, 27]) / 81.0) * 3.0)[::-1]
+    np.testing.assert_allclose(parts[:3], faded, atol=0.003)
+    assert parts[3] == 0.0
+
+
 def test_updates_must_keep_step_with_the_policy_delay():
     agent = _probe_agent("td3")
     with pytest.raises(ValueError, match="policy delay 2"):
