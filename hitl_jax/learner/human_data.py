@@ -29,6 +29,8 @@ class HumanData(Protocol):
             found, others take their place.
         changes_actor: whether `actor_loss` is asked.
         changes_critic: whether `critic_loss` is asked.
+        replaces_reward: whether it stands in the place of the environment's reward, whose weight
+            must then be 0.
         options: traced numbers of its own; they are in `hyper.extra`, by name.
     """
 
@@ -44,6 +46,10 @@ class HumanData(Protocol):
 
     @property
     def changes_critic(self) -> bool:
+        """See above."""
+
+    @property
+    def replaces_reward(self) -> bool:
         """See above."""
 
     @property
@@ -87,7 +93,10 @@ def _require_usable(choice: HumanData) -> None:
 HUMAN_DATA: Registry[HumanData] = Registry(
     "use of human steps",
     "human_data",
-    having("share", "changes_actor", "changes_critic", "options", "actor_loss", "critic_loss"),
+    having(
+        *("share", "changes_actor", "changes_critic", "replaces_reward", "options"),
+        *("actor_loss", "critic_loss"),
+    ),
     require=_require_usable,
 )
 
@@ -100,12 +109,14 @@ class Drawn:
         share: see `HumanData`.
         changes_actor: it does not.
         changes_critic: it does not.
+        replaces_reward: it does not.
         options: none.
     """
 
     share: float = 0.0
     changes_actor: bool = False
     changes_critic: bool = False
+    replaces_reward: bool = False
     options: tuple[Option, ...] = ()
 
     def actor_loss(
@@ -160,12 +171,16 @@ class Valued(Drawn):
     Attributes:
         share: see `HumanData`.
         changes_critic: it does.
+        replaces_reward: it does.
         options: the value that is told.
     """
 
     changes_critic: bool = True
+    replaces_reward: bool = True
     options: tuple[Option, ...] = (
-        Option(BOUND, 10.0, "what a^h is told to be worth, and the machine's action not", "return"),
+        Option(
+            BOUND, 1.0, "value that is told of a^h; the machine's is its negative", "return", 0.0
+        ),
     )
 
     def critic_loss(
@@ -224,8 +239,8 @@ def half_imitation() -> HumanData:
 def proxy() -> HumanData:
     """The proxy values of PVP (https://github.com/metadriverse/pvp), and `half`.
 
-    There the machine's action is the one that the human overruled, B is 1, and no reward is learned
-    from (`reward_weight` 0). Here it is what the actor would do now: where it has come to do what
-    the human does, the two values cancel.
+    No reward is learned from: `reward_weight` must be 0, and `feedback` should be. In PVP the
+    machine's action is the one that the human overruled. Here it is what the actor would do now:
+    where it has come to do what the human does, the two values cancel.
     """
     return Valued(share=0.5)

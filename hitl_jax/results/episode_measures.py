@@ -43,7 +43,7 @@ class Episode(NamedTuple):
 
     Attributes:
         reward: r(s, a) of the environment.
-        shaped: the reward of equation (7).
+        shaped: the reward that is learned from, see `arbiter.shaped_reward`.
         began: whether an intervention began, bool.
         human_action: whether the human's action was executed, bool.
         alarmed: C, bool.
@@ -110,7 +110,7 @@ class Measure(NamedTuple):
 MEASURES = (
     # The sum of r(s, a).
     Measure("return", lambda e, _: _sum(e.reward), FALL_REWARD, "number"),
-    # The sum of equation (7), which the learner is given.
+    # The sum of what the learner is given: of equation (7), unless the reward has another weight.
     Measure("shaped_return", lambda e, _: _sum(e.shaped), FALL_REWARD, "number", in_tests=False),
     # Environment steps.
     Measure("length", lambda e, _: len(e.reward), 1),

@@ -28,7 +28,7 @@ from hitl_jax.sweep import recorded_human, shards
 from hitl_jax.sweep.autosave import SAVE_SECONDS
 from hitl_jax.sweep.changes import Parts, changed
 from hitl_jax.sweep.launchers import LaunchOptions
-from hitl_jax.sweep.presets import HUMAN_PRESETS, PRESETS, Preset
+from hitl_jax.sweep.presets import AS_PRESET, HUMAN_PRESETS, PRESETS, Preset
 from hitl_jax.sweep.shards import Shard
 from hitl_jax.training.run_spec import LoopConfig, RunSpec, num_slots
 
@@ -47,8 +47,8 @@ class SweepOptions:
             paper says, whatever the other defaults are: its kind of learner (`ddpg`), a human who
             judges the angle at once and resets the walker, a boundary that line 8 moves.
         human_preset: the simulated human, with hands and feedback: `person` reacts after 0.2 s,
-            foresees falls and takes over; `ideal` judges the angle at once and resets the walker
-            (default: `ideal` with the preset `paper`, else `person`).
+            foresees falls and takes over; `ideal` judges the angle at once and resets the walker;
+            `preset` is `ideal` with the preset `paper`, else `person`.
         methods: which of srl, hitl-fix, hitl-ac to run.
         seeds: number of seeds for each method (default: the preset's).
         first_seed: the first of them; the others follow.
@@ -74,7 +74,7 @@ class SweepOptions:
     """
 
     preset: str = "full"
-    human_preset: str | None = None
+    human_preset: str = AS_PRESET
     methods: tuple[str, ...] = tuple(Method)
     seeds: int | None = None
     first_seed: int = 0
@@ -94,15 +94,14 @@ class SweepOptions:
     hyper: Annotated[Hyper, tyro.conf.arg(name="")] = Hyper()
 
     @classmethod
-    def of_preset(cls, preset: str, human_preset: str | None = None) -> "SweepOptions":
+    def of_preset(cls, preset: str, human_preset: str = AS_PRESET) -> "SweepOptions":
         """The options where only presets are given: their changes in the defaults' place.
 
         Args:
             preset: one of `PRESETS`.
-            human_preset: one of `HUMAN_PRESETS`, or None.
+            human_preset: one of `HUMAN_PRESETS`.
         """
-        human = {} if human_preset is None else HUMAN_PRESETS[human_preset]
-        parts = changed(PRESETS[preset].changes | human)
+        parts = changed(PRESETS[preset].changes | HUMAN_PRESETS[human_preset])
         return cls(
             preset,
             human_preset,
@@ -115,9 +114,9 @@ class SweepOptions:
     @classmethod
     def defaults(cls, words: Sequence[str]) -> "SweepOptions":
         """What is not given on a command line: of the presets that it names, the last of each."""
-        preset = _last_given("preset", words) or cls().preset
-        human = _last_given("human-preset", words)
-        known = preset in PRESETS and (human is None or human in HUMAN_PRESETS)
+        preset = _last_given("preset", words, cls().preset)
+        human = _last_given("human-preset", words, AS_PRESET)
+        known = preset in PRESETS and human in HUMAN_PRESETS
         return cls.of_preset(preset, human) if known else cls()
 
     def scale(self) -> Preset:
@@ -152,8 +151,7 @@ class SweepOptions:
             InvalidValue: one line with the name, the value and what is allowed.
         """
         one_of("preset", self.preset, tuple(PRESETS))
-        if self.human_preset is not None:
-            one_of("human_preset", self.human_preset, tuple(HUMAN_PRESETS))
+        one_of("human_preset", self.human_preset, tuple(HUMAN_PRESETS))
         if self.backend is not None:
             BACKENDS.check(self.backend)
         known = list(Method)
@@ -177,7 +175,13 @@ class SweepOptions:
         validate_hyper(self.hyper)
         usual = self.of_preset(self.preset, self.human_preset)
         require_hands(self.agent, usual.agent, self.human_policy)
+        if self.hyper.reward_weight == 0.0 and Method.SRL in self.methods:
+            why = "leaves srl nothing to learn from: name other methods"
+            raise InvalidValue("reward_weight", 0, why, mentions=("methods",))
         if self.human != recorded_human.SIMULATED:
+            if self.human_preset != AS_PRESET:
+                why = "has no meaning beside human recorded:FILE, whose judgements are played back"
+                raise InvalidValue("human_preset", self.human_preset, why, mentions=("human",))
             require_no_simulated_judge(
                 Parts(self.agent, self.loop, self.hyper, self.human_policy),
                 Parts(usual.agent, usual.loop, usual.hyper, usual.human_policy),
@@ -190,9 +194,8 @@ class SweepOptions:
         return self
 
 
-def _last_given(option: str, words: Sequence[str]) -> str | None:
-    """The value of an option on a command line, the last if there are several; None without it."""
-    given = None
+def _last_given(option: str, words: Sequence[str], given: str) -> str:
+    """The value of an option on a command line, the last if there are several; else as given."""
     for word, following in itertools.pairwise([*words, ""]):
         name, sign, value = word.partition("=")
         if name.replace("_", "-") == f"--{option}":

@@ -23,6 +23,7 @@ IDEAL: Changes = {
 PAPER: Changes = IDEAL | {
     "learner": "ddpg",
     "human_data": "transitions",
+    "exploration_noise": 0.3,
     "noise_steps": 0,
     "noise_free_every": 4,
     "unattended_every": 0,
@@ -51,8 +52,9 @@ def _usual(names: Iterable[str]) -> Changes:
     return usual
 
 
-HUMAN_PRESETS: dict[str, Changes] = {"person": _usual(IDEAL), "ideal": IDEAL}
-"""Simulated humans by name: what each is, whatever the sweep's preset says."""
+AS_PRESET = "preset"
+HUMAN_PRESETS: dict[str, Changes] = {AS_PRESET: {}, "person": _usual(IDEAL), "ideal": IDEAL}
+"""Simulated humans by name: what each changes of what the sweep's preset says."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -159,6 +159,9 @@ def validate(agent: Agent, hyper: Hyper) -> None:
     """
     validate_hyper(hyper)
     require_extra(agent, hyper)
+    if agent.human_data.replaces_reward and hyper.reward_weight != 0.0:
+        why = f"must be 0 beside human_data {agent.config.human_data}, which stands in its place"
+        raise InvalidValue("reward_weight", hyper.reward_weight, why, mentions=("human_data",))
 
 
 def require_extra(agent: Agent, hyper: Hyper) -> None:

@@ -107,9 +107,20 @@ def test_the_critics_come_to_prefer_what_the_human_did(learner):
         for action in (batch.action, machine)
     )
     of_human, of_machine = (np.asarray(q).reshape(len(q), 8, -1).mean((0, 2)) for q in answers)
-    assert (of_human[1::2] > 3.0).all()
-    assert (of_machine[1::2] < -3.0).all()
-    assert np.abs(of_human[::2]).max() < 3.0
+    assert (of_human[1::2] > 0.4).all()  # The TD target is 0, the value that is told 1.
+    assert (of_machine[1::2] < -0.7).all()
+    assert np.abs(of_human[::2]).max() < 0.3
+
+
+def test_proxy_values_are_refused_beside_a_reward():
+    agent = agents.make_agent(AgentConfig(human_data="proxy"))
+    agents.validate(agent, Hyper(reward_weight=0.0))
+    with pytest.raises(
+        InvalidValue, match=r"^reward_weight 1\.0: must be 0 beside human_data proxy"
+    ):
+        agents.validate(agent, Hyper())
+    with pytest.raises(InvalidValue, match=r"proxy_value"):
+        agents.validate(agent, Hyper(reward_weight=0.0, extra={BOUND: -1.0}))
 
 
 @pytest.mark.parametrize("learner", ["ddpg", "td3", "td3-tqc"])

@@ -16,6 +16,7 @@ from hitl_jax.console.cli import run_main
 from hitl_jax.console.progress import Progress
 from hitl_jax.errors import ResultsError
 from hitl_jax.playback.load_trained import section_of
+from hitl_jax.reports.report import BUDGETS
 from hitl_jax.results import episode_tables, folder
 from hitl_jax.results.atomic_files import locked
 from hitl_jax.results.folder import ResultsFolder
@@ -24,7 +25,7 @@ from hitl_jax.studies.ablations import runs
 from hitl_jax.studies.ablations.late_training import late_training
 from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.settings import ABLATIONS, BASE, Ablation, Setting
-from hitl_jax.studies.ablations.store import LATE, Store, digest
+from hitl_jax.studies.ablations.store import LATE, RunId, Store, digest
 from hitl_jax.studies.ablations.table import Line, to_markdown
 from hitl_jax.sweep import autosave, train_and_test
 from hitl_jax.sweep.changes import changed
@@ -218,6 +219,27 @@ def test_the_digest_of_kept_runs_is_the_same():
     assert kept == "998e7516cd7b"
 
 
+def test_equal_settings_of_two_names_are_one_run():
+    """A store finds a run by what defines its numbers, however the setting was written."""
+    parts = changed(BASE)
+    kept = RunId("", "srl", 0, digest(parts, {}))
+    assert kept == RunId(
+        "feedback=-20.0", "srl", 0, digest(changed(BASE | {"feedback": -20.0}), {})
+    )
+    assert kept != RunId("", "srl", 0, digest(changed(BASE | {"feedback": -5.0}), {}))
+
+
+def test_every_kept_run_is_shown_by_the_report():
+    kept = Store(pathlib.Path(__file__).parents[2] / "results" / "ablations" / "runs.csv").keys()
+    shown = {
+        run.key
+        for name, ablation in ABLATIONS.items()
+        for setting, parts in runs.settings_of(ablation)
+        for run in runs.runs_of(setting, parts, AblationOptions(name, **BUDGETS.get(name, {})))
+    }
+    assert not kept - shown
+
+
 def test_values_that_are_not_allowed_are_refused():
     with pytest.raises(ValueError, match="delay 40: must be from 0 to 32"):
         changed({"delay": 40})
@@ -269,7 +291,8 @@ def test_what_became_of_the_last_episodes():
         "length": np.arange(10) + 100,
         "mean_boundary": np.full(10, np.nan),
     }
-    row = late_training(folder.Run(RunKey("hitl-fix", 0), {}, episodes, {}))
+    run = folder.Run(RunKey("hitl-fix", 0), {}, episodes, {})
+    row = late_training(run, unattended_every=0)
     assert row.keys() == set(LATE)
     assert row == {
         "settled_boundary": None,
@@ -280,10 +303,15 @@ def test_what_became_of_the_last_episodes():
         "late_steps_without": 109.0,
     }
 
+    unattended = late_training(run, unattended_every=5)
+    assert (unattended["late_intervened"], unattended["late_return_without"]) == (1.0, None)
+
 
 def test_where_no_last_episode_was_helped_there_is_no_mean():
     none = {name: np.zeros(3) for name in ("interventions", "shaped_return", "length")}
-    row = late_training(folder.Run(RunKey("srl", 0), {}, none | {"mean_boundary": np.zeros(3)}, {}))
+    row = late_training(
+        folder.Run(RunKey("srl", 0), {}, none | {"mean_boundary": np.zeros(3)}, {}), 0
+    )
     assert (row["late_intervened"], row["late_return_with"]) == (0.0, None)
     assert row["late_return_without"] == 0.0
 

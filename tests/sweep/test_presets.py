@@ -1,6 +1,7 @@
 """A preset's options stand in the defaults' place, and what is given goes before them."""
 
 import dataclasses
+import re
 
 import pytest
 
@@ -88,14 +89,27 @@ def test_what_is_given_goes_before_the_human_preset():
 def test_every_two_presets_can_be_made(preset, human):
     options = SweepOptions.of_preset(preset, human).checked()
     assert (options.preset, options.human_preset) == (preset, human)
-    same = human == ("ideal" if preset == "paper" else "person")
+    same = human in ("preset", "ideal" if preset == "paper" else "person")
     assert same == (options.hyper == SweepOptions.of_preset(preset).hyper)
+
+
+def test_a_human_preset_is_refused_beside_a_file(tmp_path):
+    words = ["--human", f"recorded:{tmp_path / 'human.json'}", "--human-preset", "person"]
+    with pytest.raises(InvalidValue, match=r"^human_preset person: has no meaning beside human"):
+        parse(SweepOptions, words).checked()
+
+
+def test_srl_has_nothing_to_learn_from_without_the_task_s_reward():
+    words = ["--reward-weight", "0"]
+    with pytest.raises(InvalidValue, match=r"^reward_weight 0: leaves srl nothing to learn from"):
+        parse(SweepOptions, words).checked()
+    parse(SweepOptions, [*words, "--methods", "hitl-fix", "hitl-ac"]).checked()
 
 
 def test_help_shows_the_preset_s_defaults(capsys):
     with pytest.raises(SystemExit):
         parse(SweepOptions, ["--preset", "paper", "--help"])
-    assert "(default: ddpg)" in capsys.readouterr().out
+    assert "(default: ddpg)" in re.sub(r"[│\s]+", " ", capsys.readouterr().out)
 
 
 def test_a_preset_without_changes_is_a_size():
@@ -108,7 +122,8 @@ def test_a_preset_without_changes_is_a_size():
     [
         (["--preset", "best"], "--preset best: must be one of full, quick, paper"),
         (["--preset"], "--preset: a value is missing"),
-        (["--human-preset", "kind"], "--human-preset kind: must be one of person, ideal"),
+        (["--human-preset", "kind"], "--human-preset kind: must be one of preset, person, ideal"),
+        (["--human-preset", "None"], "--human-preset None: must be one of preset, person, ideal"),
         (["--human-preset"], "--human-preset: a value is missing"),
         (["--preset", "paper", "--gamma", "2"], "--gamma 2.0: must be at least 0 and at most 1"),
         (["--preset", "paper", "--gama", "1"], "Unrecognized options: --gama"),

@@ -131,5 +131,5 @@ def summary_of(tested: Tested) -> Row:
     tests = to_table(to_columns(tested.tests, TEST_COLUMNS), TEST_COLUMNS)
     info = {"wall_seconds": tested.wall_seconds, "diverged": run.diverged}
     trained = Run(run.spec.key, info, episodes, tests)
-    row = summarise_run(trained) | late_training(trained)
+    row = summarise_run(trained) | late_training(trained, run.spec.hyper.unattended_every)
     return {name: value for name, value in row.items() if name not in ("method", "seed")}

@@ -38,13 +38,13 @@ class RunId:
     """Which run a line is of.
 
     Attributes:
-        setting: `Setting.name`.
+        setting: `Setting.name`; two of one digest are one.
         method: which method.
         seed: which seed.
         digest: of all that defines the numbers, the defaults and the budget included.
     """
 
-    setting: str
+    setting: str = dataclasses.field(compare=False)
     method: str
     seed: int
     digest: str

@@ -50,7 +50,8 @@ _GUIDE = """\
 Means over seeds [bootstrap 95 % interval], and the interquartile mean of the autonomous test return
 after them. Every run has the same number of training episodes; a human who resets early makes them
 short, so steps differ. A diverged run counts as falling at once from there on. "–": no seed has the
-measure."""
+measure; "(n = 7)": 7 have it. The last fifth of training is told of the episodes that the human
+watched."""
 
 
 def to_markdown(title: str, budget: str, lines: list[Line]) -> str:
@@ -79,4 +80,4 @@ def _cell(line: Line, measure: str, decimals: int) -> str:
     text = f"{stats.estimate(values, stats.mean):,.{decimals}f}"
     if measure == "test_return_mean":
         text += f"; {float(stats.interquartile_mean(values, 0)):,.{decimals}f}"
-    return text
+    return text if values.size == len(line.runs) else f"{text} (n = {values.size})"
