@@ -69,6 +69,20 @@ def test_order_queue_and_neighbours_do_not_matter(together):
         _assert_same(queued[key], run)
 
 
+def test_each_run_has_its_own_weight_of_the_reward(together):
+    """Beside one of another weight, of the same seed; the feedback is given at each step."""
+    specs = [
+        _spec(Method.HITL_FIX, seed, reward_weight=weight) for seed, weight in ((0, 1), (1, 0))
+    ]
+    played = _play(specs, slots=2)
+    _assert_same(played[Method.HITL_FIX, 0], together[Method.HITL_FIX, 0])
+    rows = played[Method.HITL_FIX, 1].run.episodes
+    assert any(row["return"] for row in rows)
+    assert any(row["shaped_return"] for row in rows)
+    for row in rows:
+        assert row["shaped_return"] == pytest.approx(_HYPER.feedback * row["interventions"])
+
+
 def test_a_snapshot_is_what_a_shorter_run_ends_with(together):
     kept = together[Method.HITL_AC, 1].run.snapshots
     assert [snapshot.episode for snapshot in kept] == [3, 7]
