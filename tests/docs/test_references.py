@@ -11,8 +11,6 @@ import hitl_jax
 
 _PACKAGE = ROOT / "hitl_jax"
 _ROOMS = {path.stem for path in _PACKAGE.iterdir()}
-_MOVED = {"rollout", "runs", "human_actions"}
-"""Names of modules that the README says are elsewhere now."""
 
 _FILES = re.compile(r"(?<![\w./*<-])((?:[\w.-]+/)*[\w.-]+\.(?:py|js|html|css|toml|cff|md))\b")
 _DOTTED = re.compile(r"\bhitl_jax((?:\.\w+)+)")
@@ -34,15 +32,9 @@ def test_files_exist(page):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_names_exist(page):
     text = page.read_text()
-    names = {name[1:] for name in _DOTTED.findall(text)} - _MOVED
+    names = {name[1:] for name in _DOTTED.findall(text)}
     names |= {name for name in _SHORT.findall(text) if name.partition(".")[0] in _ROOMS}
     assert not sorted(name for name in names if not _exists(name.split(".")))
-
-
-def test_moved_names_are_moved():
-    readme = (ROOT / "README.md").read_text()
-    for name in _MOVED:
-        assert f"hitl_jax.{name}" in readme and not _exists([name])
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
