@@ -220,7 +220,7 @@ class Hyper:
     target_noise: float = number(0.2, 0)
     target_noise_clip: float = number(0.5, 0)
     exploration_noise: float = number(0.3, 0)
-    noise_steps: int = whole(300_000, unit="steps")
+    noise_steps: int = whole(0, unit="steps")
     noise_correlation: float = number(0.8, 0.0, 0.999, unit="1")
     noise_free_every: int = whole(2)
     unattended_every: int = whole(4)

@@ -52,6 +52,7 @@ that chose a default has the seeds of tuning."""
 _BASE = "Settings change the options of `sweep --preset paper --learner td3-tqc`, the base.\n"
 _COMPARISONS = (
     Compared("the defaults", "full"),
+    Compared("`--noise-steps 300000`", "fading"),
     Compared("`--preset paper --learner td3-tqc`", "ten_seeds"),
     Compared("`--preset paper`", "ten_seeds_ddpg"),
 )

@@ -346,7 +346,7 @@ def test_bad_input_is_one_line(args, said, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("name", "label"), [("exploration", "0.3, fading (default)"), ("loophole", "the default")]
+    ("name", "label"), [("exploration", "0.3 (default)"), ("loophole", "the default")]
 )
 def test_the_default_is_a_setting(name, label):
     [setting] = [one for one in ABLATIONS[name].settings if one.label == label]

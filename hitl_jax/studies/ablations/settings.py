@@ -104,8 +104,7 @@ for the delay."""
 _IMITATION: Changes = {"human_data": "imitation"}
 _WEIGHT_50: Changes = {"extra": {"imitation_weight": 50.0}}
 _FASTEST: Changes = _FORESIGHT | {"learner": "td3-tqc"}
-_STEADY: Changes = _FASTEST | _IMITATION
-_DEFAULT: Changes = _STEADY | {"noise_steps": 300_000}
+_DEFAULT: Changes = _FASTEST | _IMITATION
 """Of `BASE`, what makes the defaults of it."""
 
 
@@ -133,10 +132,10 @@ ABLATIONS: dict[str, Ablation] = {
     "exploration": Ablation(
         "Standard deviation of the exploration noise",
         (
-            Setting("0.1, to the end", _STEADY | {"exploration_noise": 0.1}, tuple(Method)),
-            Setting("0.3, to the end", _STEADY, tuple(Method)),
-            Setting("0.3, fading (default)", _DEFAULT, tuple(Method)),
+            Setting("0.1", _DEFAULT | {"exploration_noise": 0.1}, tuple(Method)),
+            Setting("0.3 (default)", _DEFAULT, tuple(Method)),
         ),
+        is_number=True,
     ),
     "feedback": Ablation(
         "The human's feedback r(s, a^h)",
