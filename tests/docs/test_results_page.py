@@ -8,6 +8,7 @@ from pages import ROOT, section
 _ROW = re.compile(r"^\| ([^|]*\[95 %\][^|]*) \| (.*) \|$", flags=re.MULTILINE)
 _KEPT = (
     "full",
+    "fading",
     "ten_seeds",
     "ten_seeds_ddpg",
     "one_hour",
