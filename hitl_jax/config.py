@@ -176,8 +176,9 @@ class Hyper:
         target_noise: standard deviation of TD3's target smoothing, in units of action.
         target_noise_clip: bound of that noise.
         exploration_noise: standard deviation of the action noise, in units of action.
-        noise_steps: environment steps over which the action noise fades evenly to nothing; 0 keeps
-            it as it is.
+        noise_steps: environment steps over which the action noise fades evenly to `final_noise`; 0
+            keeps it as it is.
+        final_noise: what the noise has faded to, a standard deviation in units of action.
         noise_correlation: correlation of the action noise from step to step; 0 is white. The noise
             starts from 0 in every episode.
         noise_free_every: of so many training episodes the last is played without action noise, as
@@ -221,6 +222,7 @@ class Hyper:
     target_noise_clip: float = number(0.5, 0)
     exploration_noise: float = number(0.3, 0)
     noise_steps: int = whole(0, unit="steps")
+    final_noise: float = number(0.0, 0)
     noise_correlation: float = number(0.8, 0.0, 0.999, unit="1")
     noise_free_every: int = whole(2)
     unattended_every: int = whole(4)

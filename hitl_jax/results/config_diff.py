@@ -33,6 +33,7 @@ CAME_LATER: dict[str, dict[str, Any]] = {
         "risk_learning_rate": 3e-4,
         "unattended_every": 0,
         "noise_steps": 0,
+        "final_noise": 0.0,
         "reward_weight": 1.0,
         "boundary_temperature": 0.0,
     },

@@ -175,6 +175,11 @@ class SweepOptions:
         validate_hyper(self.hyper)
         usual = self.of_preset(self.preset, self.human_preset)
         require_hands(self.agent, usual.agent, self.human_policy)
+        if self.hyper.noise_steps == 0:
+            why = "has no meaning beside noise_steps 0, with which the noise does not fade"
+            require_default(
+                self.hyper, usual.hyper, ("final_noise",), why, mentions=("noise_steps",)
+            )
         if self.hyper.reward_weight == 0.0 and Method.SRL in self.methods:
             why = "leaves srl nothing to learn from: name other methods"
             raise InvalidValue("reward_weight", 0, why, mentions=("methods",))

@@ -310,7 +310,8 @@ def _noise_free(hyper: RunHyper, state: ActingState) -> chex.Array:
 def _noise_scale(hyper: RunHyper, steps: chex.Array) -> chex.Array:
     """The standard deviation of the action noise after so many steps of the run, []."""
     faded = jnp.minimum(steps / jnp.maximum(hyper.noise_steps, 1), 1.0)
-    return hyper.exploration_noise * jnp.where(hyper.noise_steps > 0, 1.0 - faded, 1.0)
+    scale = (1.0 - faded) * hyper.exploration_noise + faded * hyper.final_noise
+    return jnp.where(hyper.noise_steps > 0, scale, hyper.exploration_noise)
 
 
 def _explores(hyper: RunHyper, state: ActingState) -> chex.Array:

@@ -320,11 +320,13 @@ def test_exploration_noise_has_its_scale_and_correlation():
     np.testing.assert_allclose(correlation, 0.8, atol=0.02)
 
 
-def test_exploration_noise_fades_evenly_over_its_steps():
+@pytest.mark.parametrize("final", [0.0, 0.04, 0.2])
+def test_exploration_noise_fades_evenly_over_its_steps(final):
     agent = agents.make_agent(_config())
     hyper = paper_hyper(
         exploration_noise=0.1,
         noise_steps=9_000,
+        final_noise=final,
         noise_correlation=0.0,
         noise_free_every=0,
         warmup_steps=0,
@@ -334,10 +336,10 @@ def test_exploration_noise_fades_evenly_over_its_steps():
     _, decision = _act_many(agent, hyper_for(Method.SRL, hyper), observations)
     noise = np.asarray(decision.action - agent.learner.actor.apply(params.actor, observations))
     parts = noise.reshape(4, 3_000, -1).std(axis=(1, 2))
-    # Of 0.1 (1 - t) over a third, the root of the mean square; the standard error is 0.0007.
-    faded = 0.1 * np.sqrt(np.diff(np.array([0, 1, 8, 27]) / 81.0) * 3.0)[::-1]
-    np.testing.assert_allclose(parts[:3], faded, atol=0.003)
-    assert parts[3] == 0.0
+    # The root of the mean square over each third of the fading; the standard error is 0.0007.
+    scale = np.linspace(0.1, final, 9_000).reshape(3, 3_000)
+    np.testing.assert_allclose(parts[:3], np.sqrt((scale**2).mean(axis=1)), atol=0.004)
+    np.testing.assert_allclose(parts[3], final, atol=0.02 * final)
 
 
 def test_updates_must_keep_step_with_the_policy_delay():

@@ -39,6 +39,10 @@ def _told(**hyper):
         ({"noise_free_every": 1, "warmup_steps": 0}, [0, 0, 0, 0, 0]),
         ({"noise_free_every": 2, "warmup_steps": 0, "noise_steps": 2}, [1, 0, 0, 0, 0]),
         ({"noise_free_every": 2, "warmup_steps": 0, "noise_steps": 3}, [1, 0, 1, 0, 0]),
+        (
+            {"noise_free_every": 2, "warmup_steps": 0, "noise_steps": 2, "final_noise": 0.1},
+            [1, 0, 1, 0, 1],
+        ),
         ({"noise_free_every": 2, "warmup_steps": 3, "exploration_noise": 0.0}, [1, 1, 1, 0, 0]),
     ],
 )
