@@ -35,7 +35,7 @@ def return_for_human_time(results: ComparedRuns) -> Claim | None:
     }
     if tested is None or not all(seconds.any() for seconds in spent.values()):
         return None
-    cells, verdicts = [], []
+    cells, leads, verdicts = [], [], []
     for budget in BUDGETS:
         scores = {
             method: np.array(
@@ -50,6 +50,7 @@ def return_for_human_time(results: ComparedRuns) -> Claim | None:
         }
         ahead = stats.estimate(scores["hitl-ac"] - scores["hitl-fix"], stats.mean)
         verdicts.append(of_sign(ahead))
+        leads.append(f"{ahead:+.0f} at {budget} s")
         cells.append(f"{budget} s: {told(scores, stats.mean, '.0f')}, ahead by {ahead:+.0f}")
     return Claim(
         "Return for human time",
@@ -61,6 +62,7 @@ def return_for_human_time(results: ComparedRuns) -> Claim | None:
         f"{'; '.join(cells)}. In all the human acted for {told(spent, stats.mean, '.0f')} s",
         least(verdicts),
         results.seeds,
+        f"HITL-AC ahead by {', '.join(leads)}",
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from hitl_jax.analysis import stats
 from hitl_jax.analysis.claims_on_training import WALKS, thousands
 from hitl_jax.analysis.compared_runs import ComparedRuns
+from hitl_jax.analysis.summary import skill_over_training, was_tested
 from hitl_jax.analysis.verdicts import SURE_AIM, Claim, in_order, in_resamples, told
 from hitl_jax.results.episode_measures import FALL_REWARD
 from hitl_jax.results.episode_tables import METHODS
@@ -140,6 +141,15 @@ def falls(results: ComparedRuns) -> Claim:
         verdict,
         results.seeds,
     )
+
+
+def area_of(run: Run) -> float | None:
+    """The area under one run's tests over the steps that it took; None where it was not tested."""
+    if not was_tested(run):
+        return None
+    skill = skill_over_training([run])
+    taken = float(run.played["env_steps"][-1:].sum())
+    return _area(_steps_at(run, skill.points), skill.returns[0], taken)
 
 
 def _areas(results: ComparedRuns) -> dict[str, np.ndarray] | None:

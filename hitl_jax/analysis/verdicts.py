@@ -36,6 +36,7 @@ class Claim(NamedTuple):
         measured: what was.
         verdict: `HOLDS`, `HOLDS_NOT` or `UNDECIDED`; "–" where a number is only reported.
         seeds: S, over which it was measured.
+        brief: what was measured, in fewer words; empty where `measured` is brief.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Claim(NamedTuple):
     measured: str
     verdict: str
     seeds: int
+    brief: str = ""
 
 
 def of_sign(estimate: stats.Estimate, threshold: float = 0.0) -> str:

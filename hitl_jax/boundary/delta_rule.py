@@ -45,16 +45,21 @@ def next_boundary(
 
 
 def boundary_reward(
-    alarmed: chex.Array, dangerous: chex.Array, alarm_reward: chex.Array
+    alarmed: chex.Array,
+    dangerous: chex.Array,
+    alarm_reward: chex.Array,
+    human_price: chex.Numeric = 0.0,
 ) -> chex.Array:
-    """r'_t: +ρ for a true alarm, −ρ for a false one, 0 otherwise (line 8, and section III).
+    """r'_t: +ρ − p for a true alarm, −ρ for a false one, 0 otherwise (line 8, and section III).
 
     Args:
         alarmed: C, bool [].
         dangerous: h_t = 0, bool [].
         alarm_reward: ρ, []; 0 gives the bare equation (7).
+        human_price: p, what it costs that the human comes, [].
 
     Returns:
         r'_t, [].
     """
-    return jnp.where(alarmed, jnp.where(dangerous, alarm_reward, -alarm_reward), 0.0)
+    judged = jnp.where(dangerous, alarm_reward - human_price, -alarm_reward)
+    return jnp.where(alarmed, judged, 0.0)

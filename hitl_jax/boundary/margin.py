@@ -14,7 +14,7 @@ how much it is worth.
 Nothing but r' follows from an alarm that the human does not confirm. So its value is put together
 from what the machine and the human come to, and from the probability that the human confirms it:
 
-    Q_ω(s, C) = P(h = 0) (Q_ω(s, u = 1) + ρ) + (1 − P(h = 0)) (Q_ω(s, not C) − ρ).
+    Q_ω(s, C) = P(h = 0) (Q_ω(s, u = 1) + ρ − p) + (1 − P(h = 0)) (Q_ω(s, not C) − ρ).
 
 r' judges an alarm, and is no part of what both come to: their targets hold r alone.
 """
@@ -88,18 +88,24 @@ def alarm_probability(
 
 
 def alarm_value(
-    without: chex.Array, confirmed: chex.Array, logit: chex.Array, alarm_reward: chex.Array
+    without: chex.Array,
+    confirmed: chex.Array,
+    logit: chex.Array,
+    alarm_reward: chex.Array,
+    human_price: chex.Array,
 ) -> chex.Array:
     """Q_ω(s, C), [...], from what may follow an alarm; see the module.
 
     Args:
         without: Q_ω(s, not C), [...].
-        confirmed: Q_ω(s, u = 1), without ρ, [...].
+        confirmed: Q_ω(s, u = 1), without ρ and p, [...].
         logit: of P(h = 0), [...].
         alarm_reward: ρ, [].
+        human_price: p, [].
     """
     danger = jax.nn.sigmoid(logit)
-    return danger * (confirmed + alarm_reward) + (1.0 - danger) * (without - alarm_reward)
+    true, false = confirmed + alarm_reward - human_price, without - alarm_reward
+    return danger * true + (1.0 - danger) * false
 
 
 def _weights(batch: BoundaryTransition) -> chex.Array:
@@ -235,7 +241,9 @@ class MarginLearner(BoundaryNetworks):
         told = self._told(critic, observation, indicator, explores)
         without, alarmed = told[..., 0], told[..., 1]
         if JUDGEMENT in self.parts:
-            alarmed = alarm_value(without, alarmed, told[..., 2], hyper.alarm_reward)
+            alarmed = alarm_value(
+                without, alarmed, told[..., 2], hyper.alarm_reward, hyper.human_price
+            )
         return without, alarmed
 
     def _likely(self, hyper: Any, indicator: chex.Array, boundary: chex.Array) -> chex.Array:
@@ -256,7 +264,7 @@ class MarginLearner(BoundaryNetworks):
         if JUDGEMENT in self.parts:
             # r' judges the alarm of its own step. If that of the next step counted here, none would
             # be worth as much as an alarm, just where the next step will raise one.
-            hyper = hyper.replace(alarm_reward=0.0)
+            hyper = hyper.replace(alarm_reward=0.0, human_price=0.0)
         without, with_alarm = self.alarm_values(
             hyper, state.target_critic, batch.next_observation, batch.next_indicator, batch.explores
         )

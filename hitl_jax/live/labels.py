@@ -87,7 +87,7 @@ def boundary_along(
     ) -> tuple[chex.Array, tuple[chex.Array, chex.Array, chex.Array]]:
         alarm, danger, step = frame
         after = following(hyper, now, alarm, danger)
-        reward = boundary.boundary_reward(alarm, danger, hyper.alarm_reward)
+        reward = boundary.boundary_reward(alarm, danger, hyper.alarm_reward, hyper.human_price)
         return jnp.where(step, after, now), (now, after, reward)
 
     _, columns = jax.lax.scan(one, jnp.asarray(start, jnp.float32), (alarmed, dangerous, live))

@@ -56,8 +56,27 @@ class Section(NamedTuple):
     claims: Sequence[Claim] = ()
 
 
+def in_brief(sections: Sequence[Section]) -> str:
+    """What holds in the first comparison that is judged, by which numbers, and its figure."""
+    judged = [section for section in sections if section.claims]
+    if not judged:
+        return ""
+    first = judged[0]
+    rows = [["claim", "the paper", "here", "verdict"]]
+    rows += [
+        [claim.name, claim.paper, claim.brief or claim.measured, f"**{claim.verdict}**"]
+        for claim in first.claims
+        if claim.verdict != "–"
+    ]
+    picture = f"{first.compared.folder}/figures/figure4_training.png"
+    return (
+        f"## In brief: {first.compared.options}, {first.claims[0].seeds} seeds of each method\n\n"
+        f"{table(rows)}\n![training return over episodes]({picture})\n"
+    )
+
+
 def at_a_glance(sections: Sequence[Section]) -> str:
-    """The verdicts of all comparisons, a line for each claim, and the first one's figure."""
+    """The verdicts of all comparisons, a line for each claim."""
     judged = [section for section in sections if section.claims]
     if not judged:
         return ""
@@ -69,9 +88,7 @@ def at_a_glance(sections: Sequence[Section]) -> str:
         told = [of[name].verdict if name in of else "not asked" for of in verdicts]
         if set(told) - {"–", "not asked"}:
             rows.append([name, paper, *told])
-    first = judged[0].compared.folder
-    picture = f"![training return over episodes]({first}/figures/figure4_training.png)\n"
-    return f"## At a glance\n\n{table(rows)}\n{picture}"
+    return f"## With other options\n\n{table(rows)}"
 
 
 def compare(comparison: Compared, root: pathlib.Path, say: Callable[[str], None]) -> Section:

@@ -18,7 +18,7 @@ from hitl_jax.analysis.summary import write_summary
 from hitl_jax.config import Hyper, Method
 from hitl_jax.errors import ResultsError
 from hitl_jax.playback.load_trained import section_of
-from hitl_jax.reports.comparison import Compared, at_a_glance, compare, table_of
+from hitl_jax.reports.comparison import Compared, at_a_glance, compare, in_brief, table_of
 from hitl_jax.reports.foresight import foresight
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.results.config_diff import flatten
@@ -49,6 +49,8 @@ BUDGETS: dict[str, dict[str, Any]] = {
 that chose a default has the seeds of tuning."""
 
 
+SCOPE = "scope.md"
+"""What a program cannot say on the report's first pages; it is taken as it is."""
 _BASE = "Settings change the options of `sweep --preset paper --learner td3-tqc`, the base.\n"
 _COMPARISONS = (
     Compared("the defaults", "full"),
@@ -89,13 +91,22 @@ def write_report(root: pathlib.Path, say: Callable[[str], None]) -> pathlib.Path
     if not (any(root.glob("*/config.json")) or (root / "ablations" / "runs.csv").exists()):
         raise ResultsError(f"{root}: holds no results")
     compared = [compare(each, root, say) for each in _COMPARISONS]
-    parts = [_HEAD, at_a_glance(compared), *(each.text for each in compared)]
+    parts = [_HEAD, in_brief(compared), _scope(root / SCOPE), at_a_glance(compared)]
+    parts += [each.text for each in compared]
     parts += [foresight(root, say, [comparison.folder for comparison in _COMPARISONS])]
     parts += [_ablations(root / "ablations", say), _map(root / _NETWORK, say)]
     parts += [_tuning(root / "tuning"), _settings(root)]
     path = root / "REPORT.md"
     write_text_atomic(path, "\n".join(parts))
     return path
+
+
+def _scope(path: pathlib.Path) -> str:
+    """What people wrote of the report's scope."""
+    try:
+        return path.read_text(encoding="utf-8") if path.exists() else ""
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{path}: cannot be read: {error}") from error
 
 
 def _tuning(folder: pathlib.Path) -> str:

@@ -34,6 +34,7 @@ CAME_LATER: dict[str, dict[str, Any]] = {
         "unattended_every": 0,
         "noise_steps": 0,
         "final_noise": 0.0,
+        "human_price": 0.0,
         "reward_weight": 1.0,
         "boundary_temperature": 0.0,
     },

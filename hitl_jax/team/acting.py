@@ -205,7 +205,7 @@ def _judge(
     """The alarm, where line 8 moves the boundary, and the alarm's reward."""
     alarmed = boundary.alarm(indicator, boundary_now) & attended
     after = following(hyper, boundary_now, alarmed, dangerous)
-    reward = boundary.boundary_reward(alarmed, dangerous, hyper.alarm_reward)
+    reward = boundary.boundary_reward(alarmed, dangerous, hyper.alarm_reward, hyper.human_price)
     return _Judged(boundary_now, indicator, alarmed, dangerous, after, reward)
 
 

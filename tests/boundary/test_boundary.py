@@ -29,8 +29,10 @@ def test_the_rule_of_line_8(alarmed, dangerous, expected):
     ("alarmed", "dangerous", "expected"), [(1, 1, 3.0), (1, 0, -3.0), (0, 1, 0.0), (0, 0, 0.0)]
 )
 def test_boundary_reward(alarmed, dangerous, expected):
-    given = boundary.boundary_reward(jnp.array(alarmed, bool), jnp.array(dangerous, bool), 3.0)
-    assert float(given) == expected
+    raised, seen = jnp.array(alarmed, bool), jnp.array(dangerous, bool)
+    assert float(boundary.boundary_reward(raised, seen, 3.0)) == expected
+    priced = expected - 2.0 * (alarmed and dangerous)
+    assert float(boundary.boundary_reward(raised, seen, 3.0, human_price=2.0)) == priced
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitl_jax.boundary import alarm, margin
+from hitl_jax.boundary import alarm, boundary_reward, margin
 from hitl_jax.boundary.decisions import sample_decisions
 from hitl_jax.boundary.margin import MarginLearner, alarm_probability
 from hitl_jax.config import Hyper
@@ -138,14 +138,17 @@ def test_the_reward_of_a_later_alarm_is_not_in_the_targets():
         np.testing.assert_allclose(target(reward), expected, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize(("reward", "judged"), [(3.0, 1.0), (3.0, -1.0), (0.0, 0.0)])
-def test_each_value_is_learned_from_what_followed(reward, judged):
+@pytest.mark.parametrize(
+    ("reward", "price", "judged"),
+    [(3.0, 0.0, 1.0), (3.0, 2.0, 1.0), (3.0, 2.0, -1.0), (0.0, 0.0, 0.0)],
+)
+def test_each_value_is_learned_from_what_followed(reward, price, judged):
     """A confirmed alarm teaches what the human comes to, any other step what the machine does."""
-    hyper = _HYPER.replace(alarm_reward=reward)
+    hyper = _HYPER.replace(alarm_reward=reward, human_price=price)
     seen = jax.random.uniform(jax.random.key(0), (64, 2), minval=-1.0)
     size = jnp.full(64, 0.8)
     alarm = {"indicator": size, "boundary": jnp.full(64, 0.5)}
-    told = reward * judged
+    told = float(boundary_reward(judged != 0.0, judged > 0.0, reward, price))
     batch = _batch(
         seen, reward=jnp.full(64, 7.0 + told), boundary_reward=jnp.full(64, told), **alarm
     )

@@ -94,7 +94,7 @@ def test_claims_about_tau_0_without_a_number_are_not_decided(measure, whose):
     assert verdicts[:2] == [UNDECIDED if measure == "test_return_mean" else HOLDS] * 2
 
 
-def test_at_a_glance_is_a_line_for_each_claim_that_is_judged_somewhere():
+def test_other_options_have_a_line_for_each_claim_that_is_judged_somewhere():
     def section(options, seeds, verdicts):
         claims = [Claim(name, "–", "", "", verdict, seeds) for name, verdict in verdicts.items()]
         return comparison.Section(comparison.Compared(options, "mine"), "", claims)
@@ -111,3 +111,25 @@ def test_at_a_glance_is_a_line_for_each_claim_that_is_judged_somewhere():
     assert head == ["claim", "the paper", "the defaults (30 seeds)", "others (5 seeds)"]
     assert rows == [["speed", "–", HOLDS, HOLDS_NOT], ["help", "–", "not asked", UNDECIDED]]
     assert comparison.at_a_glance([]) == ""
+
+
+def test_in_brief_the_first_judged_comparison_has_its_numbers():
+    claims = [
+        Claim("speed", "fast", "", "100 [90, 110] and more", HOLDS, 7, brief="100 [90, 110]"),
+        Claim("skill", "–", "", "9", UNDECIDED, 7),
+        Claim("power", "–", "", "50", "–", 7),
+    ]
+    told = comparison.in_brief(
+        [
+            comparison.Section(comparison.Compared("not run", "none"), "Not run yet."),
+            comparison.Section(comparison.Compared("the defaults", "mine"), "", claims),
+        ]
+    )
+    assert told.startswith("## In brief: the defaults, 7 seeds of each method\n")
+    rows = [line for line in told.splitlines() if line.startswith("|")][2:]
+    assert rows == [
+        "| speed | fast | 100 [90, 110] | **holds** |",
+        "| skill | – | 9 | **not decided** |",
+    ]
+    assert "(mine/figures/figure4_training.png)" in told
+    assert comparison.in_brief([]) == ""

@@ -23,7 +23,7 @@ from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.studies.ablations import runs
 from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.settings import ABLATIONS, BASE, Ablation, Setting
-from hitl_jax.studies.ablations.store import LATE, RunId, Store, digest
+from hitl_jax.studies.ablations.store import AREA, LATE, RunId, Store, digest
 from hitl_jax.studies.ablations.table import Line, to_markdown
 from hitl_jax.sweep import autosave, train_and_test
 from hitl_jax.sweep.changes import changed
@@ -91,6 +91,8 @@ def test_runs_are_tabulated_and_drawn(made):
     assert (made / "tiny.png").exists()
     assert (made / "tiny.svg").exists()
     assert [line["episodes"] for line in _lines(made)] == ["2", "2", "2"]
+    # Between that of a fall at once, where training begins, and a test after each episode.
+    assert all(-130.0 < float(line[AREA]) < -90.0 for line in _lines(made))
 
 
 def test_what_is_done_is_not_done_again(copied, capsys):
@@ -257,12 +259,12 @@ def test_a_foreign_file_is_refused(text, tmp_path):
         Store(path)
 
 
-@pytest.mark.parametrize("lacking", [5, 6])
+@pytest.mark.parametrize("lacking", [1, 6, 7])
 def test_a_file_of_an_earlier_commit_is_read(copied, lacking):
     path = copied / "runs.csv"
     whole = Store(path)
     lines = path.read_text().splitlines()
-    assert lines[0].endswith(f",wall_seconds,{','.join(LATE)}")
+    assert lines[0].endswith(f",wall_seconds,{','.join(LATE)},{AREA}")
     kept = [line.rsplit(",", lacking)[0] for line in lines]
     path.write_text("".join(f"{line}\n" for line in kept))
     earlier = Store(path)
@@ -271,7 +273,7 @@ def test_a_file_of_an_earlier_commit_is_read(copied, lacking):
     assert [line.rsplit(",", lacking)[0] for line in path.read_text().splitlines()] == kept
 
 
-@pytest.mark.parametrize("lacking", [7, 8])
+@pytest.mark.parametrize("lacking", [8, 9])
 def test_a_header_that_lacks_others_is_refused(copied, lacking):
     path = copied / "runs.csv"
     lines = path.read_text().splitlines()

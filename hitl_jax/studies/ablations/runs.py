@@ -4,16 +4,24 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from hitl_jax.analysis.claims_over_steps import area_of
 from hitl_jax.analysis.summary import summarise_run
 from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.envs import require_backend
-from hitl_jax.results.episode_tables import EPISODE_COLUMNS, TEST_COLUMNS, to_columns, to_table
+from hitl_jax.evaluation.trials import milestones
+from hitl_jax.results.episode_tables import (
+    EPISODE_COLUMNS,
+    PROGRESS_COLUMNS,
+    TEST_COLUMNS,
+    to_columns,
+    to_table,
+)
 from hitl_jax.results.folder import Run
 from hitl_jax.results.provenance import short_commit
 from hitl_jax.studies.ablations.late_training import late_training
 from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.settings import ABLATIONS, BASE, Ablation, Setting
-from hitl_jax.studies.ablations.store import Row, RunId, Store, digest
+from hitl_jax.studies.ablations.store import AREA, Row, RunId, Store, digest
 from hitl_jax.sweep.autosave import SAVE_SECONDS
 from hitl_jax.sweep.changes import Parts, changed
 from hitl_jax.sweep.run_sweep import Display
@@ -102,6 +110,7 @@ def batch_of(group: Group, options: AblationOptions) -> Batch:
             run.seed,
             hyper_for(Method(run.method), parts.hyper),
             options.episodes,
+            milestones(options.episodes),
             setting=run.digest,
         )
         for run, parts in sorted(group.missing.items(), key=lambda item: item[0].seed)
@@ -130,6 +139,8 @@ def summary_of(tested: Tested) -> Row:
     episodes = to_table(to_columns(run.all_episodes(), EPISODE_COLUMNS), EPISODE_COLUMNS)
     tests = to_table(to_columns(tested.tests, TEST_COLUMNS), TEST_COLUMNS)
     info = {"wall_seconds": tested.wall_seconds, "diverged": run.diverged}
-    trained = Run(run.spec.key, info, episodes, tests)
+    progress = to_table(to_columns(tested.progress, PROGRESS_COLUMNS), PROGRESS_COLUMNS)
+    trained = Run(run.spec.key, info, episodes, tests, progress)
     row = summarise_run(trained) | late_training(trained, run.spec.hyper.unattended_every)
+    row |= {AREA: area_of(trained)}
     return {name: value for name, value in row.items() if name not in ("method", "seed")}

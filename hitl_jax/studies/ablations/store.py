@@ -27,9 +27,13 @@ LATE = (
     "late_steps_with",
     "late_steps_without",
 )
-"""Measures of the end of training; files of earlier commits lack the last of them."""
+"""Measures of the end of training."""
+AREA = "test_area"
+"""The area under the tests along training."""
+_ADDED = (*LATE, AREA)
+"""Files of earlier commits lack the last of these."""
 
-_MEASURES = (*(name for name in SUMMARY_COLUMNS if name not in ("method", "seed")), *LATE)
+_MEASURES = (*(name for name in SUMMARY_COLUMNS if name not in ("method", "seed")), *_ADDED)
 _COLUMNS = ("setting", "method", "seed", "digest", "commit", *_MEASURES)
 
 
@@ -117,7 +121,7 @@ def _read(path: pathlib.Path) -> dict[RunId, Row]:
     with named_errors(path):
         text = read_bytes(path).decode()
         has = len(text.partition("\n")[0].split(","))
-        cells = cells_from_csv(text, _COLUMNS[: max(has, len(_COLUMNS) - len(LATE))])
+        cells = cells_from_csv(text, _COLUMNS[: max(has, len(_COLUMNS) - len(_ADDED))])
         rows = [
             _parse(dict(zip(cells, row, strict=True))) for row in zip(*cells.values(), strict=True)
         ]

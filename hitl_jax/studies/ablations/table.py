@@ -6,7 +6,7 @@ import numpy as np
 
 from hitl_jax.analysis import stats
 from hitl_jax.analysis.markdown import table
-from hitl_jax.studies.ablations.store import Row
+from hitl_jax.studies.ablations.store import AREA, Row
 
 
 class Line(NamedTuple):
@@ -31,6 +31,7 @@ _MEASURES = (
     ("env_steps", "steps", 0),
     ("test_return_mean", "autonomous test return", 0),
     ("test_fall_rate", "falls in it", 2),
+    (AREA, "area under the tests over the run's steps", 0),
     ("assisted_return_mean", "assisted test return", 0),
     ("assisted_takeover_rate", "steps under the human in it", 3),
     ("train_interventions", "interventions", 0),
