@@ -7,7 +7,6 @@ changes nothing.
 import pathlib
 import shlex
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -15,43 +14,22 @@ from hitl_jax.analysis import boundary_map
 from hitl_jax.analysis.figures import draw_all
 from hitl_jax.analysis.markdown import table
 from hitl_jax.analysis.summary import write_summary
-from hitl_jax.config import Hyper, Method
+from hitl_jax.config import Hyper
 from hitl_jax.errors import ResultsError
 from hitl_jax.playback.load_trained import section_of
-from hitl_jax.reports.comparison import Compared, at_a_glance, compare, in_brief, table_of
+from hitl_jax.reports.ablations import ablations
+from hitl_jax.reports.comparison import Compared, at_a_glance, compare, in_brief
+from hitl_jax.reports.cost import cost_of_choices
 from hitl_jax.reports.foresight import foresight
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.results.config_diff import flatten
 from hitl_jax.results.folder import ResultsFolder
-from hitl_jax.studies.ablations.options import AblationOptions
-from hitl_jax.studies.ablations.settings import ABLATIONS, BASE
-from hitl_jax.studies.ablations.starts import judge_starts
-from hitl_jax.studies.ablations.store import Store
-from hitl_jax.studies.ablations.write import lines_of, write_ablation
 from hitl_jax.studies.tuning.options import TuningOptions
 from hitl_jax.studies.tuning.table import table as table_of_tuning
-from hitl_jax.sweep.changes import changed
 
-_STARTS = "initial-boundary"
 _NETWORK = "network"
-_COMPARED = (Method.HITL_FIX, Method.HITL_AC)
-_EARLY = {"seeds": 10, "episodes": 120}
-_CHOICE = {"seeds": 10, "first_seed": 100, "episodes": 160}
-BUDGETS: dict[str, dict[str, Any]] = {
-    "boundary-parts": _EARLY,
-    "boundary-start": _EARLY,
-    "human-data": _EARLY | {"first_seed": 100},
-    "exploration": _CHOICE,
-    "fixed-boundary": _CHOICE,
-    "loophole": {"seeds": 10},
-}
-"""Of ablations that are not run with the command's defaults: later their walkers hardly fall. One
-that chose a default has the seeds of tuning."""
-
-
-SCOPE = "scope.md"
+_SCOPE = "scope.md"
 """What a program cannot say on the report's first pages; it is taken as it is."""
-_BASE = "Settings change the options of `sweep --preset paper --learner td3-tqc`, the base.\n"
 _COMPARISONS = (
     Compared("the defaults", "full"),
     Compared("`--noise-steps 300000`", "fading"),
@@ -91,10 +69,11 @@ def write_report(root: pathlib.Path, say: Callable[[str], None]) -> pathlib.Path
     if not (any(root.glob("*/config.json")) or (root / "ablations" / "runs.csv").exists()):
         raise ResultsError(f"{root}: holds no results")
     compared = [compare(each, root, say) for each in _COMPARISONS]
-    parts = [_HEAD, in_brief(compared), _scope(root / SCOPE), at_a_glance(compared)]
+    parts = [_HEAD, in_brief(compared), _scope(root / _SCOPE)]
+    parts += [cost_of_choices(root), at_a_glance(compared)]
     parts += [each.text for each in compared]
     parts += [foresight(root, say, [comparison.folder for comparison in _COMPARISONS])]
-    parts += [_ablations(root / "ablations", say), _map(root / _NETWORK, say)]
+    parts += [ablations(root / "ablations", say), _map(root / _NETWORK, say)]
     parts += [_tuning(root / "tuning"), _settings(root)]
     path = root / "REPORT.md"
     write_text_atomic(path, "\n".join(parts))
@@ -145,28 +124,6 @@ def _settings(root: pathlib.Path) -> str:
     return f"{title}\n{table(lines)}"
 
 
-def _ablations(folder: pathlib.Path, say: Callable[[str], None]) -> str:
-    title = "## Ablations\n"
-    store = Store(folder / "runs.csv")
-    if not store.path.exists():
-        return f"{title}\nNot run yet.\n"
-    parts = [title, _BASE, *_starts(AblationOptions(name="all"), store)]
-    for name in ABLATIONS:
-        budget = BUDGETS.get(name, {})
-        text, failures = write_ablation(name, AblationOptions(name, **budget), store)
-        for failure in failures:
-            say(failure)
-        if text:
-            words = (f" --{option} {value}" for option, value in budget.items())
-            given = "".join(words).replace("_", "-")
-            command = f"    hitl-jax ablation {name}{given} --out results/ablations\n"
-            picture = f"![{ABLATIONS[name].title}](ablations/{name}.png)\n"
-            parts += [text.replace("# ", "### ", 1), command, picture]
-        else:
-            parts.append(f"### {ABLATIONS[name].title}\n\nNot run yet.\n")
-    return "\n".join(parts)
-
-
 def _map(path: pathlib.Path, say: Callable[[str], None]) -> str:
     """The boundary over the state, where a network gives it."""
     title = "## The boundary over the state, with `--boundary-source network`\n"
@@ -190,16 +147,3 @@ def _map(path: pathlib.Path, say: Callable[[str], None]) -> str:
         f"[{path.name}/summary.md]({path.name}/summary.md).\n\n"
         f"![the boundary over hull angle and its velocity]({path.name}/figures/figure9_map.png)\n"
     )
-
-
-def _starts(options: AblationOptions, store: Store) -> list[str]:
-    """The claims about τ_0, once every run that they need is there."""
-    lines = {(line.label, line.method): line.runs for line in lines_of(_STARTS, options, store)}
-    labels = [setting.label for setting in ABLATIONS[_STARTS].settings]
-    fixed, learned = (
-        {label: lines.get((label, method), []) for label in labels} for method in _COMPARED
-    )
-    if {len(runs) for runs in (*fixed.values(), *learned.values())} != {options.seeds}:
-        return []
-    base = next(s.label for s in ABLATIONS[_STARTS].settings if not s.changes)
-    return [table_of(judge_starts(fixed, learned, base, changed(BASE).hyper.human.tolerance))]

@@ -11,7 +11,9 @@ from hitl_jax.commands import report
 from hitl_jax.console.cli import run_main
 from hitl_jax.reports import comparison
 from hitl_jax.reports import report as reports
+from hitl_jax.reports.cost import cost_of_choices
 from hitl_jax.studies.ablations.starts import judge_starts
+from hitl_jax.studies.ablations.store import Store
 
 _RESULTS = pathlib.Path(__file__).parents[2] / "results"
 
@@ -133,3 +135,14 @@ def test_in_brief_the_first_judged_comparison_has_its_numbers():
     ]
     assert "(mine/figures/figure4_training.png)" in told
     assert comparison.in_brief([]) == ""
+
+
+def test_each_kept_run_on_seeds_of_tuning_counts_once_in_the_cost():
+    lines = [line.split(" | ") for line in cost_of_choices(_RESULTS).splitlines() if " to " in line]
+    assert lines[0][:3] == ["| learner", "100 to 104", "45"]
+    kept = Store(_RESULTS / "ablations" / "runs.csv").keys()
+    assert sum(int(line[2]) for line in lines[1:]) == sum(run.seed >= 100 for run in kept)
+
+
+def test_where_nothing_was_tuned_no_cost_is_told(tmp_path):
+    assert cost_of_choices(tmp_path) == ""

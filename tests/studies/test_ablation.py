@@ -16,7 +16,7 @@ from hitl_jax.console.cli import run_main
 from hitl_jax.console.progress import Progress
 from hitl_jax.errors import ResultsError
 from hitl_jax.playback.load_trained import section_of
-from hitl_jax.reports.report import BUDGETS
+from hitl_jax.reports.ablations import BUDGETS
 from hitl_jax.results import episode_tables
 from hitl_jax.results.atomic_files import locked
 from hitl_jax.results.folder import ResultsFolder

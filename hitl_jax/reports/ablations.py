@@ -1,0 +1,76 @@
+"""The report's section of ablations, and how much each was run."""
+
+import pathlib
+from collections.abc import Callable
+from typing import Any
+
+from hitl_jax.config import Method
+from hitl_jax.reports.comparison import table_of
+from hitl_jax.studies.ablations.options import AblationOptions
+from hitl_jax.studies.ablations.settings import ABLATIONS, BASE
+from hitl_jax.studies.ablations.starts import judge_starts
+from hitl_jax.studies.ablations.store import Store
+from hitl_jax.studies.ablations.write import lines_of, write_ablation
+from hitl_jax.sweep.changes import changed
+
+_STARTS = "initial-boundary"
+_COMPARED = (Method.HITL_FIX, Method.HITL_AC)
+_EARLY = {"seeds": 10, "episodes": 120}
+_CHOICE = {"seeds": 10, "first_seed": 100, "episodes": 160}
+BUDGETS: dict[str, dict[str, Any]] = {
+    "boundary-parts": _EARLY,
+    "boundary-start": _EARLY,
+    "human-data": _EARLY | {"first_seed": 100},
+    "exploration": _CHOICE,
+    "fixed-boundary": _CHOICE,
+    "loophole": {"seeds": 10},
+}
+"""Of ablations that are not run with the command's defaults: later their walkers hardly fall. One
+that chose a default has the seeds of tuning."""
+
+
+_BASE = "Settings change the options of `sweep --preset paper --learner td3-tqc`, the base.\n"
+
+
+def ablations(folder: pathlib.Path, say: Callable[[str], None]) -> str:
+    """All ablations of a folder, each with its table and its figure.
+
+    Args:
+        folder: where their runs are kept.
+        say: is told which figures could not be drawn, and why.
+
+    Raises:
+        ResultsError: if it is damaged or cannot be written.
+    """
+    title = "## Ablations\n"
+    store = Store(folder / "runs.csv")
+    if not store.path.exists():
+        return f"{title}\nNot run yet.\n"
+    parts = [title, _BASE, *_starts(AblationOptions(name="all"), store)]
+    for name in ABLATIONS:
+        budget = BUDGETS.get(name, {})
+        text, failures = write_ablation(name, AblationOptions(name, **budget), store)
+        for failure in failures:
+            say(failure)
+        if text:
+            words = (f" --{option} {value}" for option, value in budget.items())
+            given = "".join(words).replace("_", "-")
+            command = f"    hitl-jax ablation {name}{given} --out results/ablations\n"
+            picture = f"![{ABLATIONS[name].title}](ablations/{name}.png)\n"
+            parts += [text.replace("# ", "### ", 1), command, picture]
+        else:
+            parts.append(f"### {ABLATIONS[name].title}\n\nNot run yet.\n")
+    return "\n".join(parts)
+
+
+def _starts(options: AblationOptions, store: Store) -> list[str]:
+    """The claims about τ_0, once every run that they need is there."""
+    lines = {(line.label, line.method): line.runs for line in lines_of(_STARTS, options, store)}
+    labels = [setting.label for setting in ABLATIONS[_STARTS].settings]
+    fixed, learned = (
+        {label: lines.get((label, method), []) for label in labels} for method in _COMPARED
+    )
+    if {len(runs) for runs in (*fixed.values(), *learned.values())} != {options.seeds}:
+        return []
+    base = next(s.label for s in ABLATIONS[_STARTS].settings if not s.changes)
+    return [table_of(judge_starts(fixed, learned, base, changed(BASE).hyper.human.tolerance))]

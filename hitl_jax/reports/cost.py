@@ -1,0 +1,64 @@
+"""What the choices cost: the kept runs on seeds of tuning."""
+
+import pathlib
+
+from hitl_jax.analysis.markdown import table
+from hitl_jax.config import Method
+from hitl_jax.reports.ablations import BUDGETS
+from hitl_jax.studies.ablations.options import AblationOptions
+from hitl_jax.studies.ablations.runs import runs_of, settings_of
+from hitl_jax.studies.ablations.settings import ABLATIONS
+from hitl_jax.studies.ablations.store import RunId, Store
+from hitl_jax.studies.tuning.options import TuningOptions
+
+_RATE = 1_700
+"""Environment steps that a core learns from in a second, in a sweep with the default learner."""
+
+
+def cost_of_choices(root: pathlib.Path) -> str:
+    """A table of what was run to choose: how many runs on which seeds, and for how long.
+
+    Args:
+        root: the folder of results.
+
+    Raises:
+        ResultsError: if the ablations' runs are damaged.
+    """
+    rows: list[tuple[str, str, int, float]] = []
+    tuning = TuningOptions()
+    if configurations := sorted(path.stem for path in (root / "tuning").glob("*.json")):
+        count = len(configurations) * len(Method) * tuning.seeds
+        steps = float(count * tuning.ticks)
+        rows.append(("learner", _seeds(tuning.first_seed, tuning.seeds), count, steps))
+    store = Store(root / "ablations" / "runs.csv")
+    told: set[RunId] = set()
+    for name, budget in BUDGETS.items():
+        options = AblationOptions(name, **budget)
+        if options.first_seed < tuning.first_seed:
+            continue
+        runs = {
+            run
+            for setting, parts in settings_of(ABLATIONS[name])
+            for run in runs_of(setting, parts, options)
+            if run in store
+        }
+        new, told = runs - told, told | runs
+        if new:
+            steps = sum(store[run]["env_steps"] for run in new)
+            rows.append((name, _seeds(options.first_seed, options.seeds), len(new), steps))
+    lines = [["choice", "seeds", "runs", "million steps", "core hours"]]
+    lines += [
+        [name, seeds, str(count), f"{steps / 1e6:.1f}", f"{steps / _RATE / 3600:.1f}"]
+        for name, seeds, count, steps in rows
+    ]
+    if not rows:
+        return ""
+    return (
+        "## What the choices cost\n\n"
+        "Kept runs on seeds of tuning; a run of two tables counts in the first. Core hours are "
+        f"reckoned from the steps, at {_RATE:,} a second.\n\n{table(lines)}"
+    )
+
+
+def _seeds(first: int, count: int) -> str:
+    return f"{first} to {first + count - 1}"
