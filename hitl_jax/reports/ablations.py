@@ -23,6 +23,7 @@ BUDGETS: dict[str, dict[str, Any]] = {
     "human-data": _EARLY | {"first_seed": 100},
     "exploration": _CHOICE,
     "fixed-boundary": _CHOICE,
+    "human-price": _CHOICE,
     "loophole": {"seeds": 10},
 }
 """Of ablations that are not run with the command's defaults: later their walkers hardly fall. One

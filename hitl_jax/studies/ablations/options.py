@@ -17,7 +17,8 @@ class AblationOptions:
     Attributes:
         name: one of methods, exploration, intervention, feedback, source, delta, initial-boundary,
             indicator, human-tolerance, human-delay, human-mistakes, human-attention, arbiter,
-            boundary-parts, boundary-start, fixed-boundary, human-data, loophole; or `all`.
+            boundary-parts, boundary-start, fixed-boundary, human-price, human-data, loophole; or
+            `all`.
         seeds: number of seeds for each setting.
         first_seed: the first of them.
         episodes: training episodes of a run.

@@ -108,6 +108,10 @@ _DEFAULT: Changes = _FASTEST | _IMITATION
 """Of `BASE`, what makes the defaults of it."""
 
 
+_PRICES = (5.0, 10.0, 14.0)
+"""Below ρ, with which nobody would be called."""
+
+
 def _without(part: str) -> Setting:
     parts = tuple(other for other in MARGIN_PARTS if other != part)
     return Setting(f"without {part}", _FORESIGHT | {"margin_parts": parts})
@@ -282,6 +286,14 @@ ABLATIONS: dict[str, Ablation] = {
         tuple(
             Setting(f"{start:g}", _DEFAULT | {"initial_boundary": start}, _FIX)
             for start in (0.1, 0.2, 0.3, 0.45, 0.7, 1.0)
+        ),
+        is_number=True,
+    ),
+    "human-price": Ablation(
+        "What the human's coming costs the boundary learner: p, in units of reward",
+        (
+            Setting("0 (default)", _DEFAULT),
+            *(Setting(f"{price:g}", _DEFAULT | {"human_price": price}) for price in _PRICES),
         ),
         is_number=True,
     ),
