@@ -202,8 +202,9 @@ class Hyper:
         boundary_critic_learning_rate: α^ω.
         risk_learning_rate: Adam's step size for the risk critic.
         alarm_reward: ρ, the size of r'_t.
-        human_price: p, what r'_t of an alarm is less by if the human confirms it: the price, in
-            units of reward, of the human's coming. Less than ρ, unless it is 0.
+        human_price: p, what r'_t of an alarm is less by if the human confirms it: the price of the
+            human's coming. `margin` pays it once a takeover, `printed` at each of its steps with
+            an alarm. It must leave r'_t above 0: by that a confirmed alarm is known.
         reward_weight: what r(s, a) counts in what is learned from; 0 leaves the human's feedback
             alone, as in RLIF (https://arxiv.org/abs/2311.12996).
         feedback: r(s, a^h), negative for a punishment. Given once, at the first step of an
@@ -337,7 +338,8 @@ def validate_hyper(hyper: Hyper, max_delay: int = MAX_DELAY) -> None:
     if not low <= first <= high:
         why = f"must be at least boundary_low {low:g} and at most boundary_high {high:g}"
         raise InvalidValue("initial_boundary", first, why, ("boundary_low", "boundary_high"))
-    if 0.0 < hyper.human_price >= hyper.alarm_reward:
+    pays = np.float32(hyper.alarm_reward) > np.float32(hyper.human_price)
+    if hyper.human_price and not pays:
         why = f"must be less than alarm_reward {hyper.alarm_reward:g}"
         raise InvalidValue("human_price", hyper.human_price, why, mentions=("alarm_reward",))
     validate_human_params(hyper.human, max_delay)

@@ -47,6 +47,12 @@ def test_bad_choices_are_named(change, message):
             {"initial_boundary": 9.0},
             "initial_boundary 9.0: must be at least boundary_low 0 and at most",
         ),
+        ({"human_price": 15.0}, "human_price 15.0: must be less than alarm_reward 15"),
+        ({"human_price": 14.9999999}, "human_price 14.9999999: must be less than alarm_reward 15"),
+        (
+            {"human_price": 0.5, "alarm_reward": 0.0},
+            "human_price 0.5: must be less than alarm_reward 0",
+        ),
         ({"boundary_low": 2.0}, "boundary_high 1.5: must be at least boundary_low 2"),
         ({"takeover_steps": 0}, "takeover_steps 0: must be at least 1"),
         ({"feedback": float("inf")}, "feedback inf: must be a finite number"),

@@ -143,11 +143,22 @@ def falls(results: ComparedRuns) -> Claim:
     )
 
 
-def area_of(run: Run) -> float | None:
-    """The area under one run's tests over the steps that it took; None where it was not tested."""
+def area_of(run: Run, points: Sequence[int]) -> float | None:
+    """The area under one run's tests over the steps that it took.
+
+    Args:
+        run: a finished run.
+        points: numbers of training episodes after each of which it was to be tested. A run that
+            went on from a save of an earlier commit may lack some.
+
+    Returns:
+        The mean return; None where a test is lacking.
+    """
     if not was_tested(run):
         return None
     skill = skill_over_training([run])
+    if not set(points) <= set(skill.points.tolist()):
+        return None
     taken = float(run.played["env_steps"][-1:].sum())
     return _area(_steps_at(run, skill.points), skill.returns[0], taken)
 

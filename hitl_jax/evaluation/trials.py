@@ -178,6 +178,7 @@ def frozen(hyper: RunHyper, human_present: bool) -> RunHyper:
         human_present=float(human_present),
         feedback=0.0,
         exploration_noise=0.0,
+        final_noise=0.0,
         boundary_noise=0.0,
         unattended_every=0,
         warmup_steps=0,

@@ -17,8 +17,9 @@ from hitl_jax.playback.load_trained import section_of
 from hitl_jax.results.folder import ResultsFolder, Run
 from hitl_jax.results.provenance import short_commit
 
+_FIRST = "figure4_training"
 _FIGURES = {
-    "figure4_training": "training return over episodes",
+    _FIRST: "training return over episodes",
     "figure4_steps": "the same over environment steps",
     "figure5_test": "test episodes",
     "figure5_progress": "tests during training",
@@ -68,17 +69,17 @@ def in_brief(sections: Sequence[Section]) -> str:
         for claim in first.claims
         if claim.verdict != "–"
     ]
-    picture = f"{first.compared.folder}/figures/figure4_training.png"
-    return (
-        f"## In brief: {first.compared.options}, {first.claims[0].seeds} seeds of each method\n\n"
-        f"{table(rows)}\n![training return over episodes]({picture})\n"
-    )
+    picture = f"![training return over episodes]({first.compared.folder}/figures/{_FIRST}.png)\n"
+    shown = f"\n{picture}" if picture in first.text else ""
+    seeds = first.claims[0].seeds
+    title = f"## In brief: {first.compared.options}, {seeds} seeds of each method\n"
+    return f"{title}\n{table(rows)}{shown}"
 
 
 def at_a_glance(sections: Sequence[Section]) -> str:
-    """The verdicts of all comparisons, a line for each claim."""
+    """The verdicts of all comparisons, a line for each claim; empty with fewer than two."""
     judged = [section for section in sections if section.claims]
-    if not judged:
+    if len(judged) < 2:
         return ""
     verdicts = [{claim.name: claim for claim in section.claims} for section in judged]
     papers = {claim.name: claim.paper for section in judged for claim in section.claims}

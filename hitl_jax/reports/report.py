@@ -21,7 +21,7 @@ from hitl_jax.reports.ablations import ablations
 from hitl_jax.reports.comparison import Compared, at_a_glance, compare, in_brief
 from hitl_jax.reports.cost import cost_of_choices
 from hitl_jax.reports.foresight import foresight
-from hitl_jax.results.atomic_files import write_text_atomic
+from hitl_jax.results.atomic_files import named_errors, read_bytes, write_text_atomic
 from hitl_jax.results.config_diff import flatten
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.studies.tuning.options import TuningOptions
@@ -45,11 +45,11 @@ Does what the paper claims hold here, by how much, and what makes it hold? Writt
 `hitl-jax report` from the data in this folder; [README.md](README.md) has what a
 program cannot say.
 
-A claim *holds* or *does not hold* by the rule in the column "to hold"; it is *not decided* where
-the interval allows both, or where it holds in some resamples of the seeds (2.5 to 97.5 %) and not
-in others. Numbers in brackets are bootstrap 95 % intervals over seeds, of which the column "seeds"
-says how many; with five they are rough. The resamples are the same everywhere, so a number has one
-interval in all tables. "Solved" is a return of 300.
+A claim *holds* or *does not hold* by a rule, which the sections on the three methods name in the
+column "to hold". It is *not decided* where the interval allows both, or where it holds in some
+resamples of the seeds (2.5 to 97.5 %) and not in others. Numbers in brackets are bootstrap 95 %
+intervals over seeds; with five seeds they are rough. The resamples are the same everywhere, so a
+number has one interval in all tables. "Solved" is a return of 300.
 """
 
 
@@ -68,8 +68,9 @@ def write_report(root: pathlib.Path, say: Callable[[str], None]) -> pathlib.Path
     """
     if not (any(root.glob("*/config.json")) or (root / "ablations" / "runs.csv").exists()):
         raise ResultsError(f"{root}: holds no results")
+    scope = _scope(root / _SCOPE)
     compared = [compare(each, root, say) for each in _COMPARISONS]
-    parts = [_HEAD, in_brief(compared), _scope(root / _SCOPE)]
+    parts = [_HEAD, in_brief(compared), scope]
     parts += [cost_of_choices(root), at_a_glance(compared)]
     parts += [each.text for each in compared]
     parts += [foresight(root, say, [comparison.folder for comparison in _COMPARISONS])]
@@ -82,10 +83,10 @@ def write_report(root: pathlib.Path, say: Callable[[str], None]) -> pathlib.Path
 
 def _scope(path: pathlib.Path) -> str:
     """What people wrote of the report's scope."""
-    try:
-        return path.read_text(encoding="utf-8") if path.exists() else ""
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"{path}: cannot be read: {error}") from error
+    if not path.exists():
+        return ""
+    with named_errors(path):
+        return read_bytes(path).decode()
 
 
 def _tuning(folder: pathlib.Path) -> str:

@@ -175,11 +175,7 @@ class SweepOptions:
         validate_hyper(self.hyper)
         usual = self.of_preset(self.preset, self.human_preset)
         require_hands(self.agent, usual.agent, self.human_policy)
-        if self.hyper.noise_steps == 0:
-            why = "has no meaning beside noise_steps 0, with which the noise does not fade"
-            require_default(
-                self.hyper, usual.hyper, ("final_noise",), why, mentions=("noise_steps",)
-            )
+        require_fading(self.hyper, usual.hyper)
         if self.hyper.reward_weight == 0.0 and Method.SRL in self.methods:
             why = "leaves srl nothing to learn from: name other methods"
             raise InvalidValue("reward_weight", 0, why, mentions=("methods",))
@@ -222,6 +218,21 @@ def require_hands(agent: AgentConfig, usual: AgentConfig, human_policy: str | No
     if human_policy is not None:
         why = "has no meaning beside human_policy, whose actions the human takes"
         require_default(agent, usual, ("human_actions",), why, mentions=("human_policy",))
+
+
+def require_fading(hyper: Hyper, usual: Hyper) -> None:
+    """Refuses a noise to fade to, where the noise does not fade.
+
+    Args:
+        hyper: the run's numbers.
+        usual: the numbers where no option is given.
+
+    Raises:
+        InvalidValue: one line with the name and why.
+    """
+    if hyper.noise_steps == 0:
+        why = "has no meaning beside noise_steps 0, with which the noise does not fade"
+        require_default(hyper, usual, ("final_noise",), why, mentions=("noise_steps",))
 
 
 def require_no_simulated_judge(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hitl_jax.analysis.claims import judge
+from hitl_jax.analysis.claims_over_steps import area_of
 from hitl_jax.analysis.summary import skill_over_training
 from hitl_jax.analysis.verdicts import HOLDS, HOLDS_NOT, UNDECIDED
 from hitl_jax.results.episode_tables import (
@@ -140,6 +141,14 @@ def test_the_seeds_that_a_difference_takes_by_hand():
     spread = np.std([100.0, 200.0] * 3, ddof=1) * (1 - 0.5 * 50 / 1000)
     seeds = int(np.ceil((2.802 * spread / 20.0) ** 2))
     assert told.startswith(f"HITL-AC and HITL-FIX 5 [5, 5], HITL-FIX and SRL {seeds} [")
+
+
+def test_a_run_that_lacks_a_test_has_no_area():
+    run = _run("srl", 0, 50, 200.0)
+    points = np.unique(run.progress["trained"])
+    # From the fall at once before the first test on.
+    assert area_of(run, points) < run.tests["return"].mean()
+    assert area_of(run, [*points, 999]) is None
 
 
 def test_all_claims_can_hold():

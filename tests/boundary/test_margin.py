@@ -127,7 +127,8 @@ def test_the_reward_of_a_later_alarm_is_not_in_the_targets():
     state = _LEARNER.init(jax.random.key(1), jax.random.key(2))
 
     def target(reward):
-        return _LEARNER._target(_HYPER.replace(alarm_reward=reward), state, batch)
+        hyper = _HYPER.replace(alarm_reward=reward, human_price=reward / 2)
+        return _LEARNER._target(hyper, state, batch)
 
     unjudged = _HYPER.replace(alarm_reward=0.0)
     _, with_alarm = _LEARNER.alarm_values(

@@ -9,6 +9,7 @@ from hitl_jax.analysis.figure_style import Drawn
 from hitl_jax.analysis.verdicts import HOLDS, HOLDS_NOT, UNDECIDED, Claim
 from hitl_jax.commands import report
 from hitl_jax.console.cli import run_main
+from hitl_jax.errors import ResultsError
 from hitl_jax.reports import comparison
 from hitl_jax.reports import report as reports
 from hitl_jax.reports.cost import cost_of_choices
@@ -115,7 +116,10 @@ def test_other_options_have_a_line_for_each_claim_that_is_judged_somewhere():
     assert comparison.at_a_glance([]) == ""
 
 
-def test_in_brief_the_first_judged_comparison_has_its_numbers():
+@pytest.mark.parametrize(
+    "shown", ["", "![training return over episodes](mine/figures/figure4_training.png)\n"]
+)
+def test_in_brief_the_first_judged_comparison_has_its_numbers(shown):
     claims = [
         Claim("speed", "fast", "", "100 [90, 110] and more", HOLDS, 7, brief="100 [90, 110]"),
         Claim("skill", "–", "", "9", UNDECIDED, 7),
@@ -124,7 +128,7 @@ def test_in_brief_the_first_judged_comparison_has_its_numbers():
     told = comparison.in_brief(
         [
             comparison.Section(comparison.Compared("not run", "none"), "Not run yet."),
-            comparison.Section(comparison.Compared("the defaults", "mine"), "", claims),
+            comparison.Section(comparison.Compared("the defaults", "mine"), shown, claims),
         ]
     )
     assert told.startswith("## In brief: the defaults, 7 seeds of each method\n")
@@ -133,15 +137,24 @@ def test_in_brief_the_first_judged_comparison_has_its_numbers():
         "| speed | fast | 100 [90, 110] | **holds** |",
         "| skill | – | 9 | **not decided** |",
     ]
-    assert "(mine/figures/figure4_training.png)" in told
+    assert ("(mine/figures/figure4_training.png)" in told) == bool(shown)
     assert comparison.in_brief([]) == ""
 
 
 def test_each_kept_run_on_seeds_of_tuning_counts_once_in_the_cost():
-    lines = [line.split(" | ") for line in cost_of_choices(_RESULTS).splitlines() if " to " in line]
+    told = cost_of_choices(_RESULTS).splitlines()
+    lines = [line.split(" | ") for line in told if line.startswith("|")][2:]
     assert lines[0][:3] == ["| learner", "100 to 104", "45"]
     kept = Store(_RESULTS / "ablations" / "runs.csv").keys()
     assert sum(int(line[2]) for line in lines[1:]) == sum(run.seed >= 100 for run in kept)
+
+
+def test_a_scope_that_is_no_text_is_refused_before_any_work(tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "config.json").write_text("{}")
+    (tmp_path / "scope.md").write_bytes(b"\xff")
+    with pytest.raises(ResultsError, match=r"scope\.md: damaged"):
+        reports.write_report(tmp_path, say=print)
 
 
 def test_where_nothing_was_tuned_no_cost_is_told(tmp_path):

@@ -232,14 +232,15 @@ def test_a_learner_that_diverged_moves_nothing():
 def test_line_8_after_the_fact_is_line_8():
     rng = np.random.default_rng(0)
     alarmed, dangerous, live = rng.random((3, 64)) < 0.6
+    hyper = dataclasses.replace(HYPER, human_price=0.25)
     now, told, after, rewards = jax.tree.map(
-        np.asarray, [0.3, *boundary_along(HYPER, 0.3, alarmed, dangerous, live)]
+        np.asarray, [0.3, *boundary_along(hyper, 0.3, alarmed, dangerous, live)]
     )
     for n in range(64):
         assert told[n] == pytest.approx(now, abs=1e-6)
         expected = boundary.next_boundary(now, alarmed[n], dangerous[n], 0.01, 0.01)
         assert after[n] == pytest.approx(np.clip(expected, 0.05, 1.5), abs=1e-6)
-        assert rewards[n] == boundary.boundary_reward(alarmed[n], dangerous[n], 1.0)
+        assert rewards[n] == boundary.boundary_reward(alarmed[n], dangerous[n], 1.0, 0.25)
         now = after[n] if live[n] else now
 
 

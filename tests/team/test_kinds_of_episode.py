@@ -28,6 +28,19 @@ def test_every_so_many_episodes_are_noise_free():
     assert noise_free == [False, False, True, False, False, True, False]
 
 
+def test_a_test_has_no_noise_however_the_noise_of_training_fades():
+    agent = agents.make_agent(paper_config())
+    params = agents.behavior(compiled.init(agent, jax.random.key(1)))
+    greedy = agent.learner.actor.apply(params.actor, _UPRIGHT)
+    hyper = paper_hyper(noise_free_every=0, warmup_steps=0, noise_steps=10, final_noise=0.2)
+    trained = hyper_for(Method.SRL, hyper)
+    for each, noisy in ((trained, True), (trials.frozen(trained, human_present=False), False)):
+        state = acting.begin_episode(agent, acting.init_acting(agent, each, jax.random.key(0)))
+        for _ in range(12):
+            state, decision = acting.act(agent, each, params, state, _UPRIGHT)
+            assert bool(jnp.any(decision.action != greedy)) == noisy
+
+
 def test_every_so_many_episodes_are_walked_without_the_human_but_no_tests():
     agent = agents.make_agent(paper_config(intervention="takeover"))
     params = agents.behavior(compiled.init(agent, jax.random.key(1)))

@@ -142,5 +142,5 @@ def summary_of(tested: Tested) -> Row:
     progress = to_table(to_columns(tested.progress, PROGRESS_COLUMNS), PROGRESS_COLUMNS)
     trained = Run(run.spec.key, info, episodes, tests, progress)
     row = summarise_run(trained) | late_training(trained, run.spec.hyper.unattended_every)
-    row |= {AREA: area_of(trained)}
+    row |= {AREA: area_of(trained, milestones(run.spec.episodes))}
     return {name: value for name, value in row.items() if name not in ("method", "seed")}

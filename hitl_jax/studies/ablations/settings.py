@@ -109,7 +109,7 @@ _DEFAULT: Changes = _FASTEST | _IMITATION
 
 
 _PRICES = (5.0, 10.0, 14.0)
-"""Below ρ, with which nobody would be called."""
+"""Less than ρ."""
 
 
 def _without(part: str) -> Setting:

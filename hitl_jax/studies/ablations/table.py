@@ -50,9 +50,10 @@ _MEASURES = (
 _GUIDE = """\
 Means over seeds [bootstrap 95 % interval], and the interquartile mean of the autonomous test return
 after them. Every run has the same number of training episodes; a human who resets early makes them
-short, so steps differ. A diverged run counts as falling at once from there on. "–": no seed has the
-measure; "(n = 7)": 7 have it. The last fifth of training is told of the episodes that the human
-watched."""
+short, so steps differ. The area under the tests is an average over the steps that a run took, of a
+test every twentieth of training: longer runs have more of them late. A diverged run counts as
+falling at once from there on. "–": no seed has the measure; "(n = 7)": 7 have it. The last fifth of
+training is told of the episodes that the human watched."""
 
 
 def to_markdown(title: str, budget: str, lines: list[Line]) -> str:
