@@ -22,6 +22,7 @@ BUDGETS: dict[str, dict[str, Any]] = {
     "boundary-start": _EARLY,
     "human-data": _EARLY | {"first_seed": 100},
     "exploration": _CHOICE,
+    "fading": _CHOICE | {"episodes": 400, "test_episodes": 100},
     "fixed-boundary": _CHOICE,
     "human-price": _CHOICE,
     "loophole": {"seeds": 10},

@@ -25,6 +25,7 @@ PAPER: Changes = IDEAL | {
     "human_data": "transitions",
     "exploration_noise": 0.3,
     "noise_steps": 0,
+    "final_noise": 0.0,
     "noise_free_every": 4,
     "unattended_every": 0,
     "boundary_source": "rule",

@@ -312,7 +312,12 @@ def test_bad_input_is_one_line(args, said, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("name", "label"), [("exploration", "0.3 (default)"), ("loophole", "the default")]
+    ("name", "label"),
+    [
+        ("fading", "to 0.1 (default)"),
+        ("human-price", "0 (default)"),
+        ("loophole", "the default"),
+    ],
 )
 def test_the_default_is_a_setting(name, label):
     [setting] = [one for one in ABLATIONS[name].settings if one.label == label]
