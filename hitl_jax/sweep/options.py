@@ -221,7 +221,7 @@ def require_hands(agent: AgentConfig, usual: AgentConfig, human_policy: str | No
 
 
 def require_fading(hyper: Hyper, usual: Hyper) -> None:
-    """Refuses a noise to fade to, where the noise does not fade.
+    """Refuses a noise to fade to, other than none, where the noise does not fade.
 
     Args:
         hyper: the run's numbers.
@@ -230,7 +230,7 @@ def require_fading(hyper: Hyper, usual: Hyper) -> None:
     Raises:
         InvalidValue: one line with the name and why.
     """
-    if hyper.noise_steps == 0:
+    if hyper.noise_steps == 0 and hyper.final_noise:
         why = "has no meaning beside noise_steps 0, with which the noise does not fade"
         require_default(hyper, usual, ("final_noise",), why, mentions=("noise_steps",))
 
