@@ -1,11 +1,13 @@
 """The report's section of ablations, and how much each was run."""
 
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
+from hitl_jax.analysis.figure_style import attempt, save
 from hitl_jax.config import Method
 from hitl_jax.reports.comparison import table_of
+from hitl_jax.studies.ablations.human_time import draw_human_time, measured
 from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.settings import ABLATIONS, BASE
 from hitl_jax.studies.ablations.starts import judge_starts
@@ -62,7 +64,25 @@ def ablations(folder: pathlib.Path, say: Callable[[str], None]) -> str:
             parts += [text.replace("# ", "### ", 1), command, picture]
         else:
             parts.append(f"### {ABLATIONS[name].title}\n\nNot run yet.\n")
-    return "\n".join(parts)
+    return "\n".join([*parts, *_human_time(folder, store, say)])
+
+
+_TIME = "human-time"
+_GROUPS = {"fixed-boundary": "by τ_0", "human-price": "by the price p of the human's coming"}
+
+
+def _human_time(folder: pathlib.Path, store: Store, say: Callable[[str], None]) -> Iterator[str]:
+    """What the human's time brings with fixed and learned boundaries, once both were run."""
+    groups = {}
+    for name, values in _GROUPS.items():
+        options = AblationOptions(name, **BUDGETS[name])
+        if lines := measured(lines_of(name, options, store)):
+            groups[values] = lines
+    if len(groups) == len(_GROUPS):
+        drawn = attempt({_TIME: lambda: save(draw_human_time(groups), folder / _TIME)})
+        for failure in drawn.failures:
+            say(failure)
+        yield f"### What the human's time brings\n\n![{_TIME}](ablations/{_TIME}.png)\n"
 
 
 def _starts(options: AblationOptions, store: Store) -> list[str]:

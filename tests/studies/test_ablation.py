@@ -314,7 +314,8 @@ def test_bad_input_is_one_line(args, said, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("name", "label"),
     [
-        ("fading", "to 0.1 (default)"),
+        ("exploration", "0.3 (default)"),
+        ("fading", "not at all (default)"),
         ("human-price", "0 (default)"),
         ("loophole", "the default"),
     ],

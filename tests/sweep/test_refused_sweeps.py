@@ -46,7 +46,7 @@ def _run(out, *options):
         ),
         (["--human", "recorded:missing.npz", "--human-parts", "delay"], "--human-parts: has no"),
         (
-            ["--noise-steps", "0", "--final-noise", "0.2"],
+            ["--noise-steps", "0", "--final-noise", "0.1"],
             "--final-noise: has no meaning beside --noise-steps 0",
         ),
         (["--noise-steps", "9", "--final-noise", "-1"], "--final-noise -1.0: must be at least 0"),

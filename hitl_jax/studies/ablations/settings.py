@@ -104,9 +104,7 @@ for the delay."""
 _IMITATION: Changes = {"human_data": "imitation"}
 _WEIGHT_50: Changes = {"extra": {"imitation_weight": 50.0}}
 _FASTEST: Changes = _FORESIGHT | {"learner": "td3-tqc"}
-_STEADY: Changes = _FASTEST | _IMITATION
-"""The defaults, but action noise to the end."""
-_DEFAULT: Changes = _STEADY | {"noise_steps": 300_000, "final_noise": 0.1}
+_DEFAULT: Changes = _FASTEST | _IMITATION
 """Of `BASE`, what makes the defaults of it."""
 
 
@@ -138,16 +136,18 @@ ABLATIONS: dict[str, Ablation] = {
     "exploration": Ablation(
         "Standard deviation of action noise that does not fade",
         (
-            Setting("0.1", _STEADY | {"exploration_noise": 0.1}, tuple(Method)),
-            Setting("0.3", _STEADY, tuple(Method)),
+            Setting("0.1", _DEFAULT | {"exploration_noise": 0.1}, tuple(Method)),
+            Setting("0.3 (default)", _DEFAULT, tuple(Method)),
         ),
         is_number=True,
     ),
     "fading": Ablation(
         "To what action noise of 0.3 fades over 300,000 steps",
         (
-            Setting("not at all", _STEADY, tuple(Method)),
-            Setting("to 0.1 (default)", _DEFAULT, tuple(Method)),
+            Setting("not at all (default)", _DEFAULT, tuple(Method)),
+            Setting(
+                "to 0.1", _DEFAULT | {"noise_steps": 300_000, "final_noise": 0.1}, tuple(Method)
+            ),
         ),
     ),
     "feedback": Ablation(
@@ -311,7 +311,7 @@ ABLATIONS: dict[str, Ablation] = {
         (
             Setting("transitions", _FASTEST, _HUMAN),
             Setting("half", _FASTEST | {"human_data": "half"}, _HUMAN),
-            Setting("imitation, weight 10", _FASTEST | _IMITATION, _HUMAN),
+            Setting("imitation, weight 10 (default)", _FASTEST | _IMITATION, _HUMAN),
             Setting("weight 50", _FASTEST | _IMITATION | _WEIGHT_50, _HUMAN),
         ),
     ),

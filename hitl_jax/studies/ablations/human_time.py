@@ -1,0 +1,67 @@
+"""What the human's time brings: each setting's tests over the seconds in human hands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hitl_jax.analysis import stats
+from hitl_jax.analysis.figure_style import COLUMN, line_mark, line_style, literal, panels
+from hitl_jax.analysis.summary import STEPS_PER_SECOND
+from hitl_jax.studies.ablations.store import AREA
+from hitl_jax.studies.ablations.table import Line
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_STEPS = "train_human_steps"
+_GUIDE = "mean over seeds, bootstrap 95 % intervals"
+
+
+def measured(lines: Sequence[Line]) -> list[Line]:
+    """The lines that have both measures for every seed."""
+    return [
+        line
+        for line in lines
+        if all(run.get(AREA) is not None and run.get(_STEPS) is not None for run in line.runs)
+    ]
+
+
+def draw_human_time(groups: Mapping[str, Sequence[Line]]) -> Figure:
+    """Points with intervals, those of a group joined in their order.
+
+    Args:
+        groups: by what their labels are values of; lines of `measured`, of one method each.
+    """
+    figure, [axes] = panels(1, 1, (COLUMN, 4.2))
+    for lines in groups.values():
+        _draw_group(axes, lines)
+    axes.set(xlabel="in human hands during training [s]", ylabel="area under the tests")
+    marks = [
+        line_mark(marker="o", label=f"{lines[0].method.upper()}, {literal(values)}", **style)
+        for values, lines in groups.items()
+        for style in [line_style(lines[0].method)]
+    ]
+    figure.legend(handles=marks, title=_GUIDE, loc="outside lower center", handlelength=3.5)
+    return figure
+
+
+def _draw_group(axes: Axes, lines: Sequence[Line]) -> None:
+    style = line_style(lines[0].method)
+    seconds = [line.values(_STEPS) / STEPS_PER_SECOND for line in lines]
+    areas = [line.values(AREA) for line in lines]
+    xs, ys = ([values.mean() for values in measure] for measure in (seconds, areas))
+    axes.plot(xs, ys, marker="o", markersize=4, linewidth=1.2, **style)
+    x_ends, y_ends = (
+        np.transpose([stats.bootstrap_interval(values, stats.mean) for values in measure])
+        for measure in (seconds, areas)
+    )
+    axes.hlines(ys, *x_ends, color=style["color"], linewidth=1.0, alpha=0.6)
+    axes.vlines(xs, *y_ends, color=style["color"], linewidth=1.0, alpha=0.6)
+    for line, x, y in zip(lines, xs, ys, strict=True):
+        value = literal(line.label.split()[0])
+        place: dict[str, Any] = {"xytext": (4, 4), "textcoords": "offset points", "fontsize": 7.5}
+        axes.annotate(value, (x, y), color=style["color"], **place)
