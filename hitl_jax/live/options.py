@@ -80,7 +80,7 @@ class LiveOptions:
         require("answer_seconds", self.answer_seconds, at_least=0.1)
         require("port", self.port, at_least=0, at_most=65535)
         validate_hyper(self.hyper)
-        require_fading(self.hyper, _LIVE.hyper)
+        require_fading(self.hyper)
         require_team(self.agent, self.loop)
         require_room(self.agent, self.loop, slots=1)
         if self.mode == "test" and self.start is None:

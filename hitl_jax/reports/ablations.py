@@ -76,8 +76,10 @@ def _human_time(folder: pathlib.Path, store: Store, say: Callable[[str], None]) 
     groups = {}
     for name, values in _GROUPS.items():
         options = AblationOptions(name, **BUDGETS[name])
-        if lines := measured(lines_of(name, options, store)):
-            groups[values] = lines
+        lines = measured(lines_of(name, options, store))
+        whole = [line for line in lines if len(line.runs) == options.seeds]
+        if len(whole) == len(ABLATIONS[name].settings):
+            groups[values] = whole
     if len(groups) == len(_GROUPS):
         drawn = attempt({_TIME: lambda: save(draw_human_time(groups), folder / _TIME)})
         for failure in drawn.failures:

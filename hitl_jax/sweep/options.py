@@ -175,7 +175,7 @@ class SweepOptions:
         validate_hyper(self.hyper)
         usual = self.of_preset(self.preset, self.human_preset)
         require_hands(self.agent, usual.agent, self.human_policy)
-        require_fading(self.hyper, usual.hyper)
+        require_fading(self.hyper)
         if self.hyper.reward_weight == 0.0 and Method.SRL in self.methods:
             why = "leaves srl nothing to learn from: name other methods"
             raise InvalidValue("reward_weight", 0, why, mentions=("methods",))
@@ -220,19 +220,18 @@ def require_hands(agent: AgentConfig, usual: AgentConfig, human_policy: str | No
         require_default(agent, usual, ("human_actions",), why, mentions=("human_policy",))
 
 
-def require_fading(hyper: Hyper, usual: Hyper) -> None:
-    """Refuses a noise to fade to, other than none, where the noise does not fade.
+def require_fading(hyper: Hyper) -> None:
+    """Refuses a noise to fade to, where the noise does not fade.
 
     Args:
         hyper: the run's numbers.
-        usual: the numbers where no option is given.
 
     Raises:
         InvalidValue: one line with the name and why.
     """
     if hyper.noise_steps == 0 and hyper.final_noise:
         why = "has no meaning beside noise_steps 0, with which the noise does not fade"
-        require_default(hyper, usual, ("final_noise",), why, mentions=("noise_steps",))
+        raise InvalidValue("final_noise", hyper.final_noise, why, mentions=("noise_steps",))
 
 
 def require_no_simulated_judge(

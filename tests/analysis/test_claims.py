@@ -4,69 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
+from example_runs import make_run
 
 from hitl_jax.analysis.claims import judge
 from hitl_jax.analysis.claims_over_steps import area_of
 from hitl_jax.analysis.summary import skill_over_training
 from hitl_jax.analysis.verdicts import HOLDS, HOLDS_NOT, UNDECIDED
-from hitl_jax.results.episode_tables import (
-    EPISODE_COLUMNS,
-    PROGRESS_COLUMNS,
-    TEST_COLUMNS,
-    to_table,
-)
-from hitl_jax.results.folder import Run
+from hitl_jax.results.episode_tables import PROGRESS_COLUMNS, to_table
 from hitl_jax.results.run_key import RunKey
-
-
-def _run(
-    method,
-    seed,
-    rises_at,
-    test_return,
-    assisted=0.0,
-    end=0.45,
-    interventions=(3, 1),
-    falls_every=1,
-):
-    """A run that walks from one episode on, and falls in some of those before."""
-    number = np.arange(1, 1001)
-    tested = np.repeat(np.arange(50, 1000, 50), 2)
-    alone = np.where(tested < rises_at, -100.0, test_return)
-    progress = dict.fromkeys(PROGRESS_COLUMNS, np.zeros(76)) | {
-        "trained": [*tested, *tested],
-        "mode": ["autonomous"] * 38 + ["assisted"] * 38,
-        "episode": [1, 10] * 38,
-        "return": [*alone, *alone + assisted],
-        "end": ["goal"] * 76,
-    }
-    training = dict.fromkeys(EPISODE_COLUMNS, np.zeros(1000)) | {
-        "episode": number,
-        "return": np.where(number < rises_at, -100.0, 300.0),
-        "end": ["goal"] * 1000,
-        "length": np.ones(1000),
-        "env_steps": number,
-        "fall": (number < rises_at) & (number % falls_every == 0),
-        "interventions": np.where(number < 500, *interventions),
-        "final_boundary": np.where(number < 300, 0.7, end),
-    }
-    tests = dict.fromkeys(TEST_COLUMNS, np.zeros(4)) | {
-        "mode": ["autonomous"] * 2 + ["assisted"] * 2,
-        "episode": [1, 2, 1, 2],
-        "return": [test_return] * 2 + [test_return + assisted] * 2,
-        "length": np.ones(4),
-        "fall": [1, 1, 0, 0],
-        "end": ["fall", "fall", "goal", "goal"],
-        "lead_steps": [10.0, np.nan, np.nan, np.nan],
-    }
-    return Run(
-        RunKey(method, seed),
-        {"wall_seconds": 1.0},
-        to_table(training, EPISODE_COLUMNS),
-        to_table(tests, TEST_COLUMNS),
-        progress=to_table(progress, PROGRESS_COLUMNS),
-    )
-
 
 _BOUNDS = (0.05, 1.5)
 
@@ -74,59 +19,9 @@ _BOUNDS = (0.05, 1.5)
 def _judge(srl, fix, ac):
     runs = {"srl": srl, "hitl-fix": fix, "hitl-ac": ac}
     made = {
-        m: [_run(m, seed, **kwargs) for seed, kwargs in enumerate(of)] for m, of in runs.items()
+        m: [make_run(m, seed, **kwargs) for seed, kwargs in enumerate(of)] for m, of in runs.items()
     }
     return {claim.name: claim for claim in judge(made, 0.45, _BOUNDS)}
-
-
-def _helped(method, seed, rises_at, test_return):
-    """A run whose human acts for 0.1 s in each of 1000 episodes."""
-    run = _run(method, seed, rises_at, test_return + seed)
-    run.episodes["human_steps"][:] = 5
-    return run
-
-
-@pytest.mark.parametrize(
-    ("fix", "ac", "verdict"),
-    [
-        ((500, 300.0), (200, 320.0), HOLDS),
-        ((500, 300.0), (200, 300.0), UNDECIDED),  # After 600 s, which none takes, both walk alike.
-        ((200, 300.0), (500, 300.0), HOLDS_NOT),
-    ],
-)
-def test_return_is_judged_at_equal_human_time(fix, ac, verdict):
-    of = {"srl": (600, 300.0), "hitl-fix": fix, "hitl-ac": ac}
-    made = {
-        method: [_helped(method, seed, *how) for seed in range(5)] for method, how in of.items()
-    }
-    [claim] = [one for one in judge(made, 0.45, _BOUNDS) if one.name == "Return for human time"]
-    assert claim.verdict == verdict
-    assert claim.measured.endswith(
-        "In all the human acted for HITL-AC 100 [100, 100], HITL-FIX 100 [100, 100] s"
-    )
-    if verdict == UNDECIDED:
-        first, *_, last = claim.measured.split("; ")
-        # 30 s are 300 episodes: HITL-FIX falls until 500.
-        assert first.startswith("30 s: HITL-AC 302 [301, 303], HITL-FIX -100 [-100, -100], ahead")
-        assert last.startswith(
-            "600 s: HITL-AC 302 [301, 303], HITL-FIX 302 [301, 303], ahead by +0"
-        )
-
-
-def test_before_the_first_test_the_return_rises_from_that_of_a_fall():
-    methods = ("srl", "hitl-fix", "hitl-ac")
-    made = {m: [_helped(m, seed, 50, 300.0) for seed in range(5)] for m in methods}
-    for run in made["hitl-ac"]:
-        run.episodes["human_steps"][:] = 3000  # 60 s an episode, and 3000 s before the first test
-    [claim] = [one for one in judge(made, 0.45, _BOUNDS) if one.name == "Return for human time"]
-    # A fiftieth of the way from -100 to 302, and the walker.
-    assert "60 s: HITL-AC -92 [-92, -92], HITL-FIX 302 [301, 303]" in claim.measured
-
-
-def test_where_no_human_acts_there_is_no_human_time():
-    methods = ("srl", "hitl-fix", "hitl-ac")
-    made = {m: [_run(m, seed, 300, 200.0) for seed in range(5)] for m in methods}
-    assert "Return for human time" not in [claim.name for claim in judge(made, 0.45, _BOUNDS)]
 
 
 def test_the_seeds_that_a_difference_takes_by_hand():
@@ -144,7 +39,7 @@ def test_the_seeds_that_a_difference_takes_by_hand():
 
 
 def test_a_run_that_lacks_a_test_has_no_area():
-    run = _run("srl", 0, 50, 200.0)
+    run = make_run("srl", 0, 50, 200.0)
     points = np.unique(run.progress["trained"])
     # From the fall at once before the first test on.
     assert area_of(run, points) < run.tests["return"].mean()
@@ -205,14 +100,14 @@ def test_skill_over_training_is_over_equal_terrains():
         "return": [10.0, 250.0],
         "end": ["fall", "goal"],
     }
-    run = _run("hitl-ac", 0, rises_at=300, test_return=300.0)
+    run = make_run("hitl-ac", 0, rises_at=300, test_return=300.0)
     run.tests["return"][1] = -100.0  # of a terrain that the earlier tests did not have
     run = dataclasses.replace(run, progress=to_table(progress, PROGRESS_COLUMNS))
     skill = skill_over_training([run])
     assert skill.points.tolist() == [200, 400, 1000]
     assert skill.returns.tolist() == [[10.0, 250.0, 300.0]]
     # One of an earlier or later version, which was tested at other points, and longer.
-    other = _run("hitl-ac", 1, rises_at=300, test_return=200.0)
+    other = make_run("hitl-ac", 1, rises_at=300, test_return=200.0)
     assert skill_over_training([other]).points.tolist() == [*range(50, 1000, 50), 1000]
     both = skill_over_training([run, other])
     assert (both.points.tolist(), both.episodes) == ([200, 400, 1000], 1)
@@ -239,7 +134,7 @@ def _diverged(run, episodes):
 
 def test_what_a_diverged_run_could_not_play_is_no_fall_and_cuts_no_other_short():
     runs = {
-        method: [_run(method, seed, rises_at=400, test_return=300.0) for seed in range(5)]
+        method: [make_run(method, seed, rises_at=400, test_return=300.0) for seed in range(5)]
         for method in ("srl", "hitl-fix", "hitl-ac")
     }
     before = {claim.name: claim for claim in judge(runs, 0.45, _BOUNDS)}
@@ -253,7 +148,7 @@ def test_what_a_diverged_run_could_not_play_is_no_fall_and_cuts_no_other_short()
 
 def test_too_few_tests_tell_of_no_steps():
     runs = {
-        method: [_run(method, seed, rises_at=400, test_return=300.0) for seed in range(5)]
+        method: [make_run(method, seed, rises_at=400, test_return=300.0) for seed in range(5)]
         for method in ("srl", "hitl-fix", "hitl-ac")
     }
     for run in [one for of in runs.values() for one in of]:
@@ -292,10 +187,10 @@ def test_what_the_seeds_do_not_decide_is_said():
 
 
 def test_only_seeds_of_all_methods_count():
-    runs = {m: [_run(m, seed, 300, 200.0) for seed in range(5)] for m in ("srl", "hitl-fix")}
+    runs = {m: [make_run(m, seed, 300, 200.0) for seed in range(5)] for m in ("srl", "hitl-fix")}
     with pytest.raises(ValueError, match="0 seeds done in all methods, of at least 5"):
         judge(runs, 0.45, _BOUNDS)
-    runs["hitl-ac"] = [_run("hitl-ac", seed, 300, 200.0) for seed in range(1, 6)]
+    runs["hitl-ac"] = [make_run("hitl-ac", seed, 300, 200.0) for seed in range(1, 6)]
     with pytest.raises(ValueError, match="4 seeds done in all methods"):
         judge(runs, 0.45, _BOUNDS)
 
@@ -321,7 +216,7 @@ def test_where_the_human_goes_by_no_angle_the_boundary_must_run_to_neither_bound
 ):
     made = {}
     for method in ("srl", "hitl-fix", "hitl-ac"):
-        made[method] = [_run(method, seed, 300, 200.0) for seed in range(10)]
+        made[method] = [make_run(method, seed, 300, 200.0) for seed in range(10)]
         for run, mean in zip(made[method], means, strict=True):
             run.episodes["mean_boundary"][:-20] = 1.5
             run.episodes["mean_boundary"][-20:] = mean
@@ -339,7 +234,7 @@ def test_a_claim_about_what_is_no_number_is_not_decided(who):
         "ac": [{"rises_at": 250, "test_return": 310.0 + seed} for seed in range(5)],
     }
     made = {
-        method: [_run(method, seed, **kwargs) for seed, kwargs in enumerate(runs[name])]
+        method: [make_run(method, seed, **kwargs) for seed, kwargs in enumerate(runs[name])]
         for method, name in (("srl", "srl"), ("hitl-fix", "fix"), ("hitl-ac", "ac"))
     }
     [lost, *_] = made[{"srl": "srl", "fix": "hitl-fix", "ac": "hitl-ac"}[who]]

@@ -133,7 +133,7 @@ def _refused(options, capsys):
         (["--human.delay", "3"], "--human.delay: is of the simulated human"),
         (["--human-parts", "delay"], "--human-parts: is of the simulated human"),
         (["--mode", "test", "--start", "a.npz", "--human-actions", "still"], "--human-actions: is"),
-        (["--final-noise", "0.1"], "--final-noise: has no meaning beside --noise-steps 0"),
+        (["--final-noise", "0.1"], "--final-noise 0.1: has no meaning beside --noise-steps 0"),
         (["--release-share", "0.3"], "--release-share: is of the simulated human"),
         (["--extra", "foo", "1"], "--extra foo: no choice has options"),
         (["--mode", "watch", "--human.extra", "foo", "1"], "--human.extra foo: no choice has opti"),

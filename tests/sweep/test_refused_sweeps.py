@@ -47,7 +47,7 @@ def _run(out, *options):
         (["--human", "recorded:missing.npz", "--human-parts", "delay"], "--human-parts: has no"),
         (
             ["--noise-steps", "0", "--final-noise", "0.1"],
-            "--final-noise: has no meaning beside --noise-steps 0",
+            "--final-noise 0.1: has no meaning beside --noise-steps 0",
         ),
         (["--noise-steps", "9", "--final-noise", "-1"], "--final-noise -1.0: must be at least 0"),
         (["--human", "recorded:missing.npz", "--human.delay", "3"], "--human.delay: has no meani"),
