@@ -38,7 +38,8 @@ def draw_curves(title: str, lines: list[Line]) -> Figure:
             points = [(x, values) for x, values in points if values.size]
             if points:
                 _draw_curve(axes, points, method)
-        axes.set(xlabel=literal(title), ylabel=name)
+        axes.set(ylabel=name)
+    figure.suptitle(literal(title), fontsize=9.0)
     _legend(figure, lines)
     return figure
 
