@@ -14,15 +14,21 @@ os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 # Most of a test's time goes into compiling, much of it the same programs: they are shared between
-# tests, in a folder that is empty at the start, so that nothing comes from an earlier session.
+# tests, in a folder that is empty at the start, so that nothing comes from an earlier session, or
+# in one that whoever starts several sessions makes for them.
 if "PYTEST_XDIST_WORKER" not in os.environ:
-    _programs = tempfile.mkdtemp(prefix="hitl-jax-tests-")
-    atexit.register(shutil.rmtree, _programs, ignore_errors=True)
+    _programs = os.environ.get("HITL_JAX_TEST_PROGRAMS")
+    if _programs is None:
+        _programs = tempfile.mkdtemp(prefix="hitl-jax-tests-")
+        atexit.register(shutil.rmtree, _programs, ignore_errors=True)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = _programs
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 
-# Compiled in haste: it takes two thirds of the time.
+# Compiled in haste: it takes two thirds of the time. In one piece: all cores have work already.
 os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    _flags = os.environ.get("XLA_FLAGS", "")
+    os.environ["XLA_FLAGS"] = f"{_flags} --xla_cpu_parallel_codegen_split_count=1".strip()
 have_loops_in_one_kernel()  # As in all commands.
 
 # Files go to the workers one by one: what takes long must not be left for the end.

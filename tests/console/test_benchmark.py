@@ -47,6 +47,7 @@ def test_bad_input_is_one_line(args, said, capsys):
     assert error.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_the_default_team_is_measured():
     """With its human's options, which `Hyper` alone has not."""
     config = AgentConfig(

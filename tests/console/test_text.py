@@ -88,7 +88,10 @@ def _command(*words, **environment):
     return done
 
 
-@pytest.mark.parametrize("environment", _ENCODINGS)
+@pytest.mark.parametrize(
+    "environment",
+    [_ENCODINGS[0], *(pytest.param(one, marks=pytest.mark.slow) for one in _ENCODINGS[1:])],
+)
 def test_help_and_refusals_on_any_terminal(environment):
     assert b"usage: hitl-jax COMMAND" in _command("--help", **environment).stdout
     done = _command("sweep", "--help", **environment)

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import struct
+from learners import LEARNERS
 
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
 from hitl_jax.errors import InvalidValue
@@ -89,7 +90,7 @@ def test_proxy_values_by_hand():
     np.testing.assert_allclose(loss, 2 * (2.0**2 + 3.0**2) / 2, rtol=1e-6)
 
 
-@pytest.mark.parametrize("learner", ["ddpg", "td3", "td3-tqc"])
+@pytest.mark.parametrize("learner", LEARNERS)
 def test_the_critics_come_to_prefer_what_the_human_did(learner):
     """In the states in which the human acted, and there alone."""
     config = AgentConfig(learner=learner, human_data="proxy", hidden_sizes=(32, 32))
@@ -123,7 +124,7 @@ def test_proxy_values_are_refused_beside_a_reward():
         agents.validate(agent, Hyper(reward_weight=0.0, extra={BOUND: -1.0}))
 
 
-@pytest.mark.parametrize("learner", ["ddpg", "td3", "td3-tqc"])
+@pytest.mark.parametrize("learner", LEARNERS)
 def test_the_actor_comes_to_do_what_the_human_did(learner):
     """In the states in which the human acted, and there alone, with a pull beside the value."""
 

@@ -75,6 +75,7 @@ class _Page:
         return self.process.returncode
 
 
+@pytest.mark.slow
 def test_a_session_survives_a_kill_and_becomes_a_human_for_sweeps(tmp_path, capsys):
     path = tmp_path / "session.jsonl"
     page = _Page(path)

@@ -49,6 +49,7 @@ def test_an_episode_is_filmed(old):
     assert film.stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_its_recorded_episodes_give_the_same_returns(old, capsys):
     """Those of training, from their actions; tests are played anew and may round otherwise."""
     main(["verify", str(old), "--runs", "6"])
@@ -64,6 +65,7 @@ def test_its_journal_opens():
     assert lines[-1]["at"] == 800
 
 
+@pytest.mark.slow
 def test_its_journal_plays_again_or_says_what_differs(tmp_path, capsys):
     """To the last bit on a machine of that kind; elsewhere one line says that it cannot."""
     path = tmp_path / "session.jsonl"

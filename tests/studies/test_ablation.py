@@ -141,6 +141,7 @@ def test_saves_that_nobody_needs_are_removed(made, tmp_path, monkeypatch):
     assert not list(tmp_path.glob("under_way*"))
 
 
+@pytest.mark.slow
 def test_saves_of_one_ablation_leave_those_of_another_alone(tmp_path, capsys, monkeypatch):
     _add_tiny(monkeypatch)
     with monkeypatch.context() as patch:

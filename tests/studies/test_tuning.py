@@ -15,6 +15,7 @@ def _run(*args):
     return run_main("tuning", tuning.main, args)
 
 
+@pytest.mark.slow
 def test_measures_once_and_tabulates(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(CONFIGURATIONS, "tiny", TEAM | {"warmup_steps": 100})
     args = ["--only", "tiny", "--seeds", "1", "--ticks", "208", "--test-episodes", "2"]

@@ -66,8 +66,15 @@ def _run(out, *options):
 def swept(tmp_path_factory):
     out = tmp_path_factory.mktemp("sweep") / "[lr=0.1] $x$ [/data] :smile: τ|"
     with pytest.MonkeyPatch.context() as patch:
-        # As if figures were due after every chunk, the last ones of each run included.
-        patch.setattr(BackgroundFigures, "draw_if_due", lambda figures: figures._prepare())
+        # As if figures were due after every chunk of training, the last ones of each run included,
+        # and after every hundredth step of a test.
+        calls = itertools.count()
+
+        def prepare(figures):
+            if (call := next(calls)) < 200 or call % 100 == 0:
+                figures._prepare()
+
+        patch.setattr(BackgroundFigures, "draw_if_due", prepare)
         assert _run(out) == 0
     return out
 
@@ -153,6 +160,7 @@ def test_every_episode_that_is_kept_can_be_had_again(swept, tmp_path, capsys):
     assert "srl seed 0: training 1 of 1, autonomous 1 of 2" in said
 
 
+@pytest.mark.slow
 def test_versions_that_differ_are_named_first_and_once(swept, tmp_path, capsys):
     other = tmp_path / "other"
     shutil.copytree(swept, other)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learners import LEARNERS
 from paper_team import paper_config, paper_hyper
 
 from hitl_jax import human
@@ -107,18 +108,14 @@ def test_learns_a_policy_of_known_value(learner, layer_norm, precision):
 # The two endings stand next to each other, since they share a compiled program.
 @pytest.mark.parametrize(("ending", "last"), [("terminated", 1.0), ("truncated", 2.0)])
 @pytest.mark.parametrize("n_step", [1, 3])
-@pytest.mark.parametrize(
-    ("learner", "layer_norm"), [("ddpg", False), ("td3", False), ("td3-tqc", True)]
-)
-def test_bootstraps_through_time_limits_and_not_through_ends(
-    learner, layer_norm, n_step, ending, last
-):
+@pytest.mark.parametrize("learner", LEARNERS)
+def test_bootstraps_through_time_limits_and_not_through_ends(learner, n_step, ending, last):
     """Two steps of reward 1, γ = 1/2, then an ending in a state of value 2.
 
     Terminated: Q = (1.5, 1). Truncated at a state where every step gives 1 for ever, Q = 2
     everywhere, which is what a bootstrap at the time limit must give.
     """
-    agent = _probe_agent(learner, n_step, layer_norm)
+    agent = _probe_agent(learner, n_step, layer_norm=learner == "td3-tqc")
     episodes = _FRAMES // 3
     frames = np.zeros((1, _FRAMES, agent.layout.width), np.float32)
     layout = agent.layout
@@ -160,7 +157,7 @@ def test_bfloat16_changes_what_actor_and_critics_learn_and_not_how_the_actor_act
     np.testing.assert_array_equal(*actions)
 
 
-@pytest.mark.parametrize("learner", ["ddpg", "td3", "td3-tqc"])
+@pytest.mark.parametrize("learner", LEARNERS)
 def test_learn_is_one_update_after_another(learner):
     """With the same draws and noise: targets of several updates at once change nothing."""
     config = paper_config(

@@ -110,6 +110,7 @@ def test_a_run_can_be_asked_at_any_time():
     assert not first.diagnostics
 
 
+@pytest.mark.slow
 def test_to_look_changes_nothing(monkeypatch):
     often, never = _play(monkeypatch, 8), _play(monkeypatch, 10**9)
     for one, other in zip(often, never, strict=True):

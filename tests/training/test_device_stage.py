@@ -109,6 +109,7 @@ def test_parameters_that_are_no_numbers_end_a_run_where_the_host_ends_it(togethe
             _assert_same(run, together[key])
 
 
+@pytest.mark.slow
 def test_saved_runs_that_wait_for_a_slot_go_on(together):
     _, playing = _play(_specs(), 6, saved={}, chunks=4)
     saved = {run.key: run for run in playing.save()}

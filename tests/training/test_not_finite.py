@@ -198,10 +198,15 @@ def _broken(monkeypatch, field, at):
     monkeypatch.setattr(device_toy, "_tick", tick)
 
 
-_MOMENTS = [("observation", "reset"), ("observation", "middle"), ("observation", "end")]
+_MOMENTS = [
+    ("observation", "middle"),
+    ("reward", "end"),
+    pytest.param("observation", "reset", marks=pytest.mark.slow),
+    pytest.param("observation", "end", marks=pytest.mark.slow),
+]
 
 
-@pytest.mark.parametrize(("field", "at"), [*_MOMENTS, ("reward", "end")])
+@pytest.mark.parametrize(("field", "at"), _MOMENTS)
 def test_the_device_ends_a_run_where_the_host_does(field, at, monkeypatch):
     _broken(monkeypatch, field, at)
 
@@ -225,7 +230,10 @@ def _finished():
     return agent, FinishedRun(Run(spec, 0), train, np.float32(0.25))
 
 
-@pytest.mark.parametrize(("field", "at"), [*_MOMENTS, ("reward", "middle"), ("reward", "end")])
+@pytest.mark.parametrize(
+    ("field", "at"),
+    [*_MOMENTS, pytest.param("reward", "middle", marks=pytest.mark.slow)],
+)
 def test_both_examiners_count_a_fall_and_say_so(field, at, monkeypatch):
     _broken(monkeypatch, field, at)
     agent, run = _finished()

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import small
+from learners import LEARNERS
 from pages import python_in, run, section
 from paper_team import paper_config, paper_hyper
 from toy import ToyPool
@@ -114,6 +115,7 @@ def test_no_program_of_a_team_has_wide_numbers(config, hyper, wide):
     assert _wide_floats(lambda p, s, o: act(p, s, o, True), params, state, np.float32(seen)) == []
 
 
+@pytest.mark.slow
 def test_no_program_with_a_walker_has_wide_numbers(wide):
     agent = agents.make_agent(paper_config())
     for hardcore in (False, True):
@@ -160,7 +162,7 @@ def test_runs_and_their_tests_are_the_same():
     assert repr(tests) == repr(wide_tests)
 
 
-@pytest.mark.parametrize("learner", ["ddpg", "td3", "td3-tqc"])
+@pytest.mark.parametrize("learner", LEARNERS)
 def test_an_update_of_a_callers_own_arrays_is_the_same(learner):
     agent = agents.make_agent(paper_config(learner=learner, hidden_sizes=(32, 32)))
     rng = np.random.default_rng(0)

@@ -109,6 +109,7 @@ def test_velocity_iterations(state):
     )
 
 
+@pytest.mark.slow
 def test_velocity_iterations_with_contacts_of_all_parts(state):
     """Thighs touch too, and shins touch more than two edges."""
     before, _, _, contacts, joint, constraints = state
@@ -135,7 +136,7 @@ def _on_stairs(near, place):
     return NearbyGround(near.edges, boxes)
 
 
-@pytest.mark.parametrize("hardcore", [False, True])
+@pytest.mark.parametrize("hardcore", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_contacts_of_parts(state, hardcore):
     before, near, _, contacts, _, _ = state
     legs = world.legs_of(pose(before.place, before.angle))
@@ -155,6 +156,7 @@ def test_position_iterations(state):
     )
 
 
+@pytest.mark.slow
 def test_position_iterations_of_separated_joints(state):
     """Joints of both legs of one walker are apart: it needs all iterations, the others do not."""
     before, _, manifold, _, joint, _ = state
@@ -165,7 +167,7 @@ def test_position_iterations_of_separated_joints(state):
     _assert_kernels_equal_cpu(island.solve_positions, (place, angle, joint.side, manifold))
 
 
-@pytest.mark.parametrize("hardcore", [False, True])
+@pytest.mark.parametrize("hardcore", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_impacts_have_a_thread_for_each_part(state, hardcore):
     before, near, _, contacts, _, _ = state
     if hardcore:
@@ -280,7 +282,8 @@ def test_blocks_are_small_while_a_gpu_has_room(threads, parts, cores, block):
 
 
 @pytest.mark.parametrize(
-    ("hardcore", "terrains"), [(False, "walker_profile"), (True, "walker_corners")]
+    ("hardcore", "terrains"),
+    [(False, "walker_profile"), pytest.param(True, "walker_corners", marks=pytest.mark.slow)],
 )
 def test_a_tick_on_a_gpu_is_kernels_with_names_of_their_own(monkeypatch, hardcore, terrains):
     jax.clear_caches()  # What is traced for a GPU is none for a CPU, and the reverse.

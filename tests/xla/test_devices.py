@@ -29,7 +29,8 @@ def test_learning_threads_have_lower_priority():
         [sys.executable, "-c", _SCRIPT], stdout=subprocess.PIPE, text=True, check=True
     )
     usual = min(os.nice(0) + 3, 19)  # These tests may run under `nice` themselves.
-    assert [int(nice) for nice in answer.stdout.split()] == [usual, usual, min(usual + 10, 19)]
+    told = [int(nice) for nice in answer.stdout.split()]
+    assert told == [usual, *sorted({usual, min(usual + 10, 19)})]
 
 
 def test_an_accelerator_learns_all_its_runs_at_once_and_a_cpu_one(monkeypatch):
