@@ -47,7 +47,7 @@ from hitl_jax.human.actions import ACTION_SOURCES
 from hitl_jax.human.indicator import INDICATORS
 from hitl_jax.learner.algorithms import LEARNERS
 from hitl_jax.learner.human_data import HUMAN_DATA
-from hitl_jax.learner.task_learner import TaskLearner
+from hitl_jax.learner.task_learner import LAST, TESTED_ACTORS, TaskLearner
 from hitl_jax.xla.dense_product import MATMUL_PRECISIONS
 
 _MOST_UNITS = 2**20
@@ -93,6 +93,9 @@ class AgentConfig:
             `bfloat16`, which is faster on CPUs with AVX512-BF16 and may end a little lower. Sums,
             parameters and acting stay float32.
         human_data: what the task learner makes of the human's steps:
+        tested_actor: which parameters of μ are tested and kept: `last`, those that the last update
+            left, or `average`, their Polyak average, which is the target actor. In training the
+            last ones act in any case.
         batch_size: transitions in a minibatch of the task learner.
         n_step: steps of reward before the bootstrap.
         boundary_source: how line 6 and line 8 of Algorithm 1 meet:
@@ -121,6 +124,7 @@ class AgentConfig:
     layer_norm: bool = flag(True)
     matmul_precision: str = among("float32", MATMUL_PRECISIONS)
     human_data: str = choice("imitation", HUMAN_DATA)
+    tested_actor: str = among(LAST, TESTED_ACTORS)
     batch_size: int = whole(64, 1, _MOST_UNITS)
     n_step: int = whole(4, 1, _MOST_UNITS)
     boundary_source: str = choice("network", SOURCES)

@@ -18,6 +18,7 @@ CAME_LATER: dict[str, dict[str, Any]] = {
         "human_parts": ["delay", "mistakes", "lapses", "attention"],
         "human_actions": "scripted",
         "human_data": "transitions",
+        "tested_actor": "last",
         "boundary_learner": "printed",
         "margin_parts": [
             *("heavy_tails", "often", "two_critics", "targets"),

@@ -23,6 +23,7 @@ IDEAL: Changes = {
 PAPER: Changes = IDEAL | {
     "learner": "ddpg",
     "human_data": "transitions",
+    "tested_actor": "last",
     "exploration_noise": 0.3,
     "noise_steps": 0,
     "final_noise": 0.0,

@@ -18,7 +18,7 @@ from hitl_jax.human.indicator import Indicator, does_see_risk
 from hitl_jax.learner import replay
 from hitl_jax.learner.frame import Layout
 from hitl_jax.learner.human_data import HUMAN_DATA, HumanData
-from hitl_jax.learner.task_learner import TaskLearner
+from hitl_jax.learner.task_learner import LAST, TaskLearner
 from hitl_jax.risk import RiskLearner
 from hitl_jax.types import Behavior, BoundaryTransition, TrainState
 
@@ -135,6 +135,15 @@ class Agent(NamedTuple):
         return dataclasses.replace(
             hyper, extra=extra, human=dataclasses.replace(hyper.human, extra=of_human)
         )
+
+
+def as_tested(agent: Agent, state: TrainState) -> TrainState:
+    """A run's state with what is tested as its actor, see `AgentConfig.tested_actor`."""
+    if agent.config.tested_actor == LAST:
+        return state
+    # Learners of this kind have it: `make_agent` has refused others.
+    tested = agent.learner.tested_actor(state.learner)  # type: ignore[attr-defined]
+    return dataclasses.replace(state, learner=dataclasses.replace(state.learner, actor=tested))
 
 
 def behavior(state: TrainState) -> Behavior:

@@ -40,6 +40,9 @@ def state_of_learner(learner: TaskLearner, sizes: Sizes, told: str) -> Any:
         lambda state: learner.with_networks(state, state.actor, state.critic), state
     )
     blamed.require_same("with_networks", state, back)
+    if hasattr(learner, "tested_actor"):
+        tested = blamed.shapes(learner.tested_actor, state)
+        blamed.require_same("tested_actor", state.actor, tested)
     action = blamed.shapes(
         learner.act, given.hyper, state.actor, given.seen, given.noise, given.number
     )

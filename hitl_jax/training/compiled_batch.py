@@ -62,6 +62,8 @@ class Programs(NamedTuple):
             runs, one device after the other, leaves [A, ...].
         boundaries: acting to the carry of each run's boundary source, [A] or [A, K].
         row_of: (rows [R, ...], slot) to the row of the run in `slot`.
+        tested_of: (training states as words [R, P], slot) to what a test needs of the run there, a
+            row of `PackedBehavior`.
         diagnose: (learner, slots int32 [K]) to what `team.diagnostics` measures of the runs there,
             leaves [K].
         restore: (learner, slot, training state as words [P], the run's column of the ring [T, W],
@@ -80,6 +82,7 @@ class Programs(NamedTuple):
     unpack_behavior: Callable[..., Behavior]
     boundaries: Callable[[ActingBatch], chex.Array]
     row_of: Callable[..., chex.Array]
+    tested_of: Callable[..., chex.Array]
     diagnose: Callable[[LearnerBatch, chex.Array], Metrics]
     restore: Callable[..., LearnerBatch]
     restore_acting: Callable[..., ActingBatch]
@@ -109,6 +112,7 @@ def make_programs(agent: Agent, num_updates: int, tile: int) -> Programs:
         unpack_behavior=jax.jit(functools.partial(unpack_behavior, agent), keep_unused=True),
         boundaries=jax.jit(functools.partial(_boundaries, agent)),
         row_of=jax.jit(lambda rows, slot: rows[slot]),
+        tested_of=jax.jit(functools.partial(_tested_of, agent)),
         diagnose=jax.jit(functools.partial(_diagnose, agent)),
         restore=jax.jit(_restore, donate_argnums=0),
         restore_acting=jax.jit(_restore_acting, donate_argnums=0),
@@ -166,6 +170,12 @@ def _learn(
 def _boundaries(agent: Agent, acting: ActingBatch) -> chex.Array:
     like = some_acting(agent)
     return jax.vmap(lambda state: unpack(like, state).boundary)(acting.state)
+
+
+def _tested_of(agent: Agent, train: chex.Array, slot: chex.Array) -> chex.Array:
+    state = agents.as_tested(agent, unpack(some_train(agent), train[slot]))
+    leaves = jax.tree.leaves(agents.behavior(state))
+    return jnp.concatenate([jnp.ravel(leaf) for leaf in leaves])
 
 
 def _diagnose(agent: Agent, learner: LearnerBatch, slots: chex.Array) -> Metrics:

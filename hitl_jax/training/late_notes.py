@@ -43,7 +43,7 @@ class LateNotes:
         left = run.spec.snapshots[len(run.snapshots) + self._num_due[run.slot] :]
         due = [episode for episode in left if episode <= len(run.episodes) or run.diverged]
         if due:
-            row = self._learner.behavior_of(run.slot)
+            row = self._learner.tested_of(run.slot)
             self._snapshots.append((run, due, row, boundary(run)))
             self._num_due[run.slot] += len(due)
 

@@ -147,7 +147,7 @@ class Snapshot(NamedTuple):
     Attributes:
         episode: training episodes that the run would have had; it is taken at the end of the chunk
             in which the last of them ends.
-        behavior: parameters, as NumPy arrays.
+        behavior: parameters, as NumPy arrays, with what is tested as `actor`.
         boundary: the boundary source's carry, [] or [C].
     """
 
@@ -225,7 +225,7 @@ class FinishedRun:
 
     Attributes:
         run: its record.
-        train: its training state, as NumPy arrays.
+        train: its training state, as NumPy arrays, with what is tested as the learner's `actor`.
         boundary: the boundary source's carry, [] or [K].
     """
 
