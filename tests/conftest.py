@@ -18,7 +18,7 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # in one that whoever starts several sessions makes for them.
 if "PYTEST_XDIST_WORKER" not in os.environ:
     _programs = os.environ.get("HITL_JAX_TEST_PROGRAMS")
-    if _programs is None:
+    if not _programs:
         _programs = tempfile.mkdtemp(prefix="hitl-jax-tests-")
         atexit.register(shutil.rmtree, _programs, ignore_errors=True)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = _programs
@@ -26,9 +26,9 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
 
 # Compiled in haste: it takes two thirds of the time. In one piece: all cores have work already.
 os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
-if "PYTEST_XDIST_WORKER" not in os.environ:
-    _flags = os.environ.get("XLA_FLAGS", "")
-    os.environ["XLA_FLAGS"] = f"{_flags} --xla_cpu_parallel_codegen_split_count=1".strip()
+_flags, _pieces = os.environ.get("XLA_FLAGS", ""), "--xla_cpu_parallel_codegen_split_count"
+if _pieces not in _flags:
+    os.environ["XLA_FLAGS"] = f"{_flags} {_pieces}=1".strip()
 have_loops_in_one_kernel()  # As in all commands.
 
 # Files go to the workers one by one: what takes long must not be left for the end.

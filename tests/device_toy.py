@@ -55,7 +55,7 @@ def toys(broken_from=NEVER):
         yield
 
 
-CONFIG = paper_config(learner="td3", hidden_sizes=(16,), batch_size=16)
+CONFIG = paper_config(learner="td3", hidden_sizes=(16,), batch_size=16, tested_actor="average")
 
 
 HYPER = paper_hyper(warmup_steps=24, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)

@@ -136,7 +136,7 @@ def evaluate_runs(
 def _final(finished: FinishedRun, modes: Sequence[Mode], episodes: int) -> list[Trial]:
     """The tests of a run as training left it."""
     spec = finished.run.spec
-    last = Snapshot(spec.episodes, behavior(finished.train), finished.boundary)
+    last = Snapshot(spec.episodes, behavior(finished.kept), finished.boundary)
     return [Trial(mode, spec, [last], episodes) for mode in modes]
 
 

@@ -109,7 +109,7 @@ class DeterministicActorCritic:
             target_critic=critic,
         )
 
-    def tested_actor(self, state: LearnerState) -> Params:
+    def average_actor(self, state: LearnerState) -> Params:
         """The target actor, a Polyak average of μ; see `TaskLearner`."""
         return state.target_actor
 

@@ -18,7 +18,7 @@ and `critic` are saved."""
 LAST, AVERAGE = "last", "average"
 TESTED_ACTORS = (LAST, AVERAGE)
 """Which parameters of μ a test plays with, and a trained run keeps: those that the last update
-left, or their average over the last updates, `tested_actor(state)` of the learner."""
+left, or their average over the last updates, the learner's `average_actor`."""
 
 
 class Sizes(Protocol):
@@ -67,8 +67,8 @@ class TaskLearner(Protocol):
     where it `changes_actor`, and its `critic_loss` to the critics' where it `changes_critic`.
     Beside a learner without the attribute such choices are refused.
 
-    One that keeps an average of its actor has a method `tested_actor(state)`, which gives it, like
-    `state.actor`. Beside a learner without it `config.tested_actor` must be `last`.
+    One that keeps an average of its actor has a method `average_actor(state)`, which gives it, of
+    the shapes of `state.actor`. Beside one without it `config.tested_actor` must be `last`.
     """
 
     def __hash__(self) -> int: ...

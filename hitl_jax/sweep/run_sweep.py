@@ -244,7 +244,7 @@ class Sweep:
             key,
             to_columns(run.all_episodes(), EPISODE_COLUMNS),
             to_columns(tested.tests, TEST_COLUMNS),
-            checkpoint.flatten(tested.finished.train, tested.finished.boundary),
+            checkpoint.flatten(tested.finished.kept, tested.finished.boundary),
             info,
             to_columns(tested.progress, PROGRESS_COLUMNS),
             run.recordings,

@@ -19,9 +19,8 @@ from hitl_jax.human.actions import ACTION_SOURCES
 from hitl_jax.human.indicator import INDICATORS, Indicator
 from hitl_jax.learner import losses, replay
 from hitl_jax.learner.algorithms import LEARNERS
-from hitl_jax.learner.task_learner import LAST, TaskLearner
+from hitl_jax.learner.task_learner import TaskLearner
 from hitl_jax.team.parts import Agent
-from hitl_jax.team.parts import as_tested as as_tested
 from hitl_jax.team.parts import behavior as behavior
 from hitl_jax.team.trial_run import require_runs
 from hitl_jax.types import (
@@ -92,7 +91,6 @@ def make_agent(
     )
     _require_sizes(agent)
     _require_looked_at(agent)
-    _require_average(agent)
     require_runs(
         agent,
         {
@@ -147,13 +145,6 @@ def _require_looked_at(agent: Agent) -> None:
     if has is not None and has != chosen:
         why = f"the task learner was made with another, {has}"
         raise InvalidValue("human_data", agent.config.human_data, why)
-
-
-def _require_average(agent: Agent) -> None:
-    """Refuses tests of an average that the learner does not keep."""
-    tested = agent.config.tested_actor
-    if tested != LAST and not hasattr(agent.learner, "tested_actor"):
-        raise InvalidValue("tested_actor", tested, "this task learner keeps none: must be last")
 
 
 def validate(agent: Agent, hyper: Hyper) -> None:

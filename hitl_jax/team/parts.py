@@ -18,9 +18,9 @@ from hitl_jax.human.indicator import Indicator, does_see_risk
 from hitl_jax.learner import replay
 from hitl_jax.learner.frame import Layout
 from hitl_jax.learner.human_data import HUMAN_DATA, HumanData
-from hitl_jax.learner.task_learner import LAST, TaskLearner
+from hitl_jax.learner.task_learner import AVERAGE, TaskLearner
 from hitl_jax.risk import RiskLearner
-from hitl_jax.types import Behavior, BoundaryTransition, TrainState
+from hitl_jax.types import Behavior, BoundaryTransition, Params, TrainState
 
 
 class Agent(NamedTuple):
@@ -137,13 +137,18 @@ class Agent(NamedTuple):
         )
 
 
-def as_tested(agent: Agent, state: TrainState) -> TrainState:
-    """A run's state with what is tested as its actor, see `AgentConfig.tested_actor`."""
-    if agent.config.tested_actor == LAST:
-        return state
-    # Learners of this kind have it: `make_agent` has refused others.
-    tested = agent.learner.tested_actor(state.learner)  # type: ignore[attr-defined]
-    return dataclasses.replace(state, learner=dataclasses.replace(state.learner, actor=tested))
+def tested_actor(agent: Agent, state: TrainState) -> Params:
+    """The parameters of μ that are tested and kept, see `AgentConfig.tested_actor`."""
+    actor: Params = state.learner.actor
+    if agent.config.tested_actor == AVERAGE:
+        # `make_agent` has refused learners that keep none.
+        actor = agent.learner.average_actor(state.learner)  # type: ignore[attr-defined]
+    return actor
+
+
+def with_actor(state: TrainState, actor: Params) -> TrainState:
+    """A run's state with other parameters of μ."""
+    return dataclasses.replace(state, learner=dataclasses.replace(state.learner, actor=actor))
 
 
 def behavior(state: TrainState) -> Behavior:

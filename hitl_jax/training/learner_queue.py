@@ -68,7 +68,7 @@ class LearnerQueue:
         self.programs = compiled_batch.make_programs(agent, self.num_updates, self.tile)
         self._deferred: LearnerCall | None = None
         self._layout, self._frames = agent.layout, config.frames
-        self._agent, self._train = agent, batch_arrays.some_train(agent)
+        self._train = batch_arrays.some_train(agent)
         self._places = word_places(self._train)
         self._share = slots // len(devices)
         empty = [
@@ -212,12 +212,12 @@ class LearnerQueue:
         jax.block_until_ready([batch.train for batch in self._batches])
 
     def train_of(self, slot: int) -> TrainState:
-        """A run's training state as NumPy arrays, as it is tested, without its key."""
+        """A run's training state as NumPy arrays, without its key."""
         self._start_deferred()
         device, column = divmod(slot, self._share)
         words = self.programs.row_of(self._batches[device].train, np.int32(column))
         train: TrainState = unpack_on_host(self._train, self._places, np.asarray(words))
-        return agents.as_tested(self._agent, dataclasses.replace(train, key=None))
+        return dataclasses.replace(train, key=None)
 
     def tested_of(self, slot: int) -> chex.Array:
         """What a test needs of a run after the calls so far, a row for `behaviors`; not awaited."""

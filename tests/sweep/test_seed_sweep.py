@@ -66,8 +66,8 @@ def _run(out, *options):
 def swept(tmp_path_factory):
     out = tmp_path_factory.mktemp("sweep") / "[lr=0.1] $x$ [/data] :smile: τ|"
     with pytest.MonkeyPatch.context() as patch:
-        # As if figures were due after every chunk of training, the last ones of each run included,
-        # and after every hundredth step of a test.
+        # As if figures were due after each of the first chunks and steps of tests, and then after
+        # every hundredth.
         calls = itertools.count()
 
         def prepare(figures):

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +12,7 @@ from paper_team import paper_config, paper_hyper
 from hitl_jax.config import AgentConfig, Method, hyper_for
 from hitl_jax.errors import InvalidValue
 from hitl_jax.team import agent as agents
+from hitl_jax.team import parts
 from hitl_jax.types import Transition
 
 _SIZES = {"learner": "td3", "hidden_sizes": (8,), "boundary_hidden_sizes": (8,)}
@@ -30,62 +32,61 @@ def _updated(agent):
     return before, agents.update(agent, hyper, before, batch, jnp.zeros((8, 4)), True)[0]
 
 
-def test_the_average_is_polyaks_and_all_else_stays():
+def test_the_average_is_polyaks():
     agent = agents.make_agent(paper_config(**_SIZES, tested_actor="average"))
     before, after = _updated(agent)
-    tested = agents.as_tested(agent, after)
     by_hand = jax.tree.map(
         lambda old, new: 0.75 * old + 0.25 * new, before.learner.actor, after.learner.actor
     )
-    for told, expected in zip(
-        jax.tree.leaves(tested.learner.actor), jax.tree.leaves(by_hand), strict=True
-    ):
-        np.testing.assert_allclose(told, expected, rtol=1e-5, atol=1e-7)
-    back = dataclasses.replace(
-        tested, learner=dataclasses.replace(tested.learner, actor=after.learner.actor)
-    )
-    assert back == after
+    chex.assert_trees_all_close(parts.tested_actor(agent, after), by_hand, rtol=1e-5, atol=1e-7)
 
 
 def test_the_last_is_what_acts():
     agent = agents.make_agent(paper_config(**_SIZES, tested_actor="last"))
     _, after = _updated(agent)
-    assert agents.as_tested(agent, after) is after
+    assert parts.tested_actor(agent, after) is after.learner.actor
+
+
+@dataclasses.dataclass(frozen=True)
+class Own:
+    """A learner of a user's own, without an average, or with one of its own."""
+
+    inner: object
+    average_actor: object = None
+
+    def __getattr__(self, name):
+        if name == "inner" or name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.inner, name)
+
+
+def _make(average, tested):
+    config = paper_config(**_SIZES, tested_actor=tested)
+    return agents.make_agent(config, learner=Own(config.task_learner, average))
 
 
 def test_a_learner_that_keeps_no_average_is_refused():
-    @dataclasses.dataclass(frozen=True)
-    class Forgetful:
-        inner: object
-
-        def __getattr__(self, name):
-            if name in ("tested_actor", "inner") or name.startswith("__"):
-                raise AttributeError(name)
-            return getattr(self.inner, name)
-
-    forgetful = Forgetful(paper_config(**_SIZES).task_learner)
-    agents.make_agent(paper_config(**_SIZES, tested_actor="last"), learner=forgetful)
+    _make(None, "last")
     with pytest.raises(InvalidValue, match=r"^tested_actor average: .* must be last$"):
-        agents.make_agent(paper_config(**_SIZES, tested_actor="average"), learner=forgetful)
+        _make(None, "average")
 
 
-def test_an_average_of_another_shape_is_refused():
-    @dataclasses.dataclass(frozen=True)
-    class Wrong:
-        inner: object
+def _of_another_form(state):
+    return state.critic
 
-        def __getattr__(self, name):
-            if name == "inner" or name.startswith("__"):
-                raise AttributeError(name)
-            return getattr(self.inner, name)
 
-        def tested_actor(self, state):
-            return state.critic
+def _that_fails(state):
+    raise RuntimeError("no average")
 
-    with pytest.raises(InvalidValue, match="tested_actor"):
-        agents.make_agent(
-            paper_config(**_SIZES), learner=Wrong(paper_config(**_SIZES).task_learner)
-        )
+
+@pytest.mark.parametrize(
+    ("average", "said"),
+    [(_of_another_form, "of the form of actor"), (_that_fails, "RuntimeError: no average")],
+)
+def test_an_average_that_cannot_act_is_refused(average, said):
+    _make(average, "last")
+    with pytest.raises(InvalidValue, match=f"^learner .*{said}"):
+        _make(average, "average")
 
 
 @pytest.mark.parametrize("value", ["mean", "", None, 1])

@@ -93,8 +93,20 @@ def test_a_snapshot_is_what_a_shorter_run_ends_with(together):
     rollout = Rollout(make_agent(_CONFIG), short, ToyPool(2), _LOOP)
     ended = [run for done in rollout for run in done]
     for snapshot, run in zip(kept, ended, strict=True):
-        jax.tree.map(np.testing.assert_array_equal, snapshot.behavior, behavior(run.train))
+        jax.tree.map(np.testing.assert_array_equal, snapshot.behavior, behavior(run.kept))
         assert snapshot.boundary == run.boundary
+
+
+def test_the_average_is_kept_and_the_last_acts(together):
+    for run in together.values():
+        learner = run.train.learner
+        jax.tree.map(np.testing.assert_array_equal, run.tested_actor, learner.target_actor)
+        assert run.kept.learner.actor is run.tested_actor
+        assert run.kept.learner.critic is learner.critic
+        pairs = zip(
+            *(jax.tree.leaves(each) for each in (run.tested_actor, learner.actor)), strict=True
+        )
+        assert any((average != last).any() for average, last in pairs)
 
 
 def test_snapshots_that_fall_due_in_one_chunk_are_all_kept():
