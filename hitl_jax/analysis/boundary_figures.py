@@ -25,27 +25,40 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
 
 
+_WINDOW = 8
+"""Episodes; in training some have no action noise, others no human, every second or fourth."""
+
+
 def boundary(data: FigureData) -> Figure | None:
     """The boundary over training beside the human's own threshold, and the return below."""
     if not data.with_human:
         return None
+    from matplotlib.patheffects import withStroke
+
     figure, [upper, lower] = panels(2, 1, (COLUMN, 5.6), sharex=True)
+    outline: list[Any] = [withStroke(linewidth=3.4, foreground="white")]
     lines: list[Line2D] = []
     others: list[Line2D] = []
     for m in data.with_human:
         if m.name == "hitl-ac":  # the others' boundaries do not differ from seed to seed
-            thin: dict[str, Any] = {"color": COLOURS[m.name], "alpha": 0.35, "linewidth": 0.5}
+            alpha = 3.5 / max(len(m.played), 10)
+            thin: dict[str, Any] = {"color": COLOURS[m.name], "alpha": alpha, "linewidth": 0.5}
             for t in m.played:
                 upper.plot(t["episode"], t["mean_boundary"], **thin)
-            others.append(line_mark(label=f"{m.name.upper()}, each seed", **thin))
-        draw_curve(upper, m.name, over_episodes([t["mean_boundary"] for t in m.played], 1))
+            others.append(
+                line_mark(
+                    label=f"{m.name.upper()}, each episode of each seed", **thin | {"alpha": 0.35}
+                )
+            )
+        curve = over_episodes([t["mean_boundary"] for t in m.played], _WINDOW)
+        draw_curve(upper, m.name, curve).set_path_effects(outline)
         curve = over_episodes(m.column("return"), data.window)
         lines.append(draw_curve(lower, m.name, curve, m.unfinished))
     if data.tolerance is not None:
         style = threshold_line(data.tolerance)
         upper.axhline(data.tolerance, **style)
         others.append(line_mark(**style))
-    upper.set(ylabel=f"{data.boundary_label},\nmean of the episode")
+    upper.set(ylabel=f"{data.boundary_label}\n(mean of the last {_WINDOW} episodes)")
     lower.set(xlabel="training episode", ylabel=data.return_label)
     mark_solved(lower, "solved")
     legend(figure, lines, others, window=data.window)
