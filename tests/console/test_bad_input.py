@@ -1,4 +1,4 @@
-"""Generated bad inputs: a clear line each, never a traceback, never a wrong resume."""
+"""A thousand generated bad inputs: a clear line each, never a traceback, never a wrong resume."""
 
 import errno
 import os
@@ -52,7 +52,7 @@ takeover-steps human.tolerance human.delay human.miss-rate nothing
 _WORDS = "-1 0 1 7 2.5 nan inf -inf 1e400 None True ddpg srl hitl-ac rule 0x10 1_000 -- - ü [] full"
 
 
-@many(100)
+@many(300)
 @hypothesis.given(
     st.lists(
         st.tuples(
