@@ -94,8 +94,7 @@ class AgentConfig:
             parameters and acting stay float32.
         human_data: what the task learner makes of the human's steps:
         tested_actor: which parameters of μ are tested and kept: `last`, those that the last update
-            left, or `average`, their Polyak average, which is the target actor. In training the
-            last ones act in any case.
+            left, or `average`, their Polyak average. In training the last ones act in any case.
         batch_size: transitions in a minibatch of the task learner.
         n_step: steps of reward before the bootstrap.
         boundary_source: how line 6 and line 8 of Algorithm 1 meet:
@@ -176,6 +175,7 @@ class Hyper:
         actor_learning_rate: Adam's step size for μ.
         critic_learning_rate: Adam's step size for Q.
         target_step_size: Polyak step of the targets, a share a step.
+        average_step_size: Polyak step of the averaged actor, a share an update of the actor.
         gamma: discount of one environment step.
         target_noise: standard deviation of TD3's target smoothing, in units of action.
         target_noise_clip: bound of that noise.
@@ -224,6 +224,7 @@ class Hyper:
     actor_learning_rate: float = number(1e-3, 0.0)
     critic_learning_rate: float = number(1e-3, 0.0)
     target_step_size: float = number(0.005, 0.0, 1.0, unit="1")
+    average_step_size: float = number(0.001, 0.0, 1.0, unit="1")
     gamma: float = number(0.98, 0.0, 1.0, unit="1")
     target_noise: float = number(0.2, 0)
     target_noise_clip: float = number(0.5, 0)

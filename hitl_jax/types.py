@@ -165,12 +165,14 @@ class TrainState:
         boundary: the boundary learner.
         key: typed PRNG key of the run's learning, [].
         risk: the risk critic; None in a team that does not look at it.
+        average_actor: Polyak average of `learner.actor`; None where the last parameters are tested.
     """
 
     learner: LearnerState
     boundary: BoundaryState
     key: chex.PRNGKey
     risk: RiskState | None = None
+    average_actor: Params | None = None
 
 
 @struct.dataclass

@@ -109,10 +109,6 @@ class DeterministicActorCritic:
             target_critic=critic,
         )
 
-    def average_actor(self, state: LearnerState) -> Params:
-        """The target actor, a Polyak average of μ; see `TaskLearner`."""
-        return state.target_actor
-
     def act(
         self, hyper: Any, actor: Params, observation: chex.Array, noise: chex.Array, scale: Any
     ) -> chex.Array:

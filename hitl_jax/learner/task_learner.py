@@ -12,13 +12,13 @@ from hitl_jax.types import Params, Transition
 State = Any
 """A dataclass of arrays: all that the task learner changes in a run.
 
-Acting needs its field `actor`; of a trained run its fields `actor` (or what is tested in its place)
-and `critic` are saved."""
+Acting needs its field `actor`; of a trained run its fields `actor` (or its average, if that is
+tested) and `critic` are saved."""
 
 LAST, AVERAGE = "last", "average"
 TESTED_ACTORS = (LAST, AVERAGE)
 """Which parameters of μ a test plays with, and a trained run keeps: those that the last update
-left, or their average over the last updates, the learner's `average_actor`."""
+left, or their Polyak average."""
 
 
 class Sizes(Protocol):
@@ -66,9 +66,6 @@ class TaskLearner(Protocol):
     `config.human_data`, and adds its `actor_loss(hyper.extra, action, batch)` to the actor's loss
     where it `changes_actor`, and its `critic_loss` to the critics' where it `changes_critic`.
     Beside a learner without the attribute such choices are refused.
-
-    One that keeps an average of its actor has a method `average_actor(state)`, which gives it, of
-    the shapes of `state.actor`. Beside one without it `config.tested_actor` must be `last`.
     """
 
     def __hash__(self) -> int: ...

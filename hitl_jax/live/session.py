@@ -29,7 +29,7 @@ from hitl_jax.live.live_person import LivePerson
 from hitl_jax.live.setup import SessionSetup
 from hitl_jax.results.episode_measures import Episode, Row, row_of
 from hitl_jax.team.acting import ActingState, begin_episode, init_acting
-from hitl_jax.team.parts import tested_actor, with_actor
+from hitl_jax.team.parts import tested
 from hitl_jax.team.warmup import may_learn
 from hitl_jax.training import batch_arrays
 from hitl_jax.training.run_spec import episode_seed, method_index
@@ -152,9 +152,7 @@ class Session:
 
     def networks(self) -> tuple[TrainState, np.ndarray]:
         """What was learned, and the boundary: for `checkpoint.flatten`."""
-        train = self._learner.train()
-        kept = with_actor(train, tested_actor(self.setup.agent, train))
-        return kept, np.asarray(self._boundary)
+        return tested(self._learner.train()), np.asarray(self._boundary)
 
     def digest(self) -> str:
         """A checksum of the session's state: equal digests, equal sessions."""

@@ -73,4 +73,7 @@ def _started(agent: Agent, train: TrainState, start: dict[str, Params]) -> Train
     risk = train.risk
     if risk is not None:
         risk = dataclasses.replace(risk, critic=start["risk"])
-    return dataclasses.replace(train, learner=learner, boundary=networks, risk=risk)
+    average = None if train.average_actor is None else start["actor"]
+    return dataclasses.replace(
+        train, learner=learner, boundary=networks, risk=risk, average_actor=average
+    )

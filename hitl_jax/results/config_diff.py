@@ -31,6 +31,7 @@ CAME_LATER: dict[str, dict[str, Any]] = {
     "hyper": {
         "human": {"extra": {}},
         "extra": {},
+        "average_step_size": 0.001,
         "risk_learning_rate": 3e-4,
         "unattended_every": 0,
         "noise_steps": 0,

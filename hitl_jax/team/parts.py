@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import chex
 import jax
+import optax
 
 from hitl_jax.arbiter import Intervention
 from hitl_jax.arbiter.releases import Release
@@ -18,9 +19,9 @@ from hitl_jax.human.indicator import Indicator, does_see_risk
 from hitl_jax.learner import replay
 from hitl_jax.learner.frame import Layout
 from hitl_jax.learner.human_data import HUMAN_DATA, HumanData
-from hitl_jax.learner.task_learner import AVERAGE, TaskLearner
+from hitl_jax.learner.task_learner import TaskLearner
 from hitl_jax.risk import RiskLearner
-from hitl_jax.types import Behavior, BoundaryTransition, Params, TrainState
+from hitl_jax.types import Behavior, BoundaryTransition, TrainState
 
 
 class Agent(NamedTuple):
@@ -137,18 +138,26 @@ class Agent(NamedTuple):
         )
 
 
-def tested_actor(agent: Agent, state: TrainState) -> Params:
-    """The parameters of μ that are tested and kept, see `AgentConfig.tested_actor`."""
-    actor: Params = state.learner.actor
-    if agent.config.tested_actor == AVERAGE:
-        # `make_agent` has refused learners that keep none.
-        actor = agent.learner.average_actor(state.learner)  # type: ignore[attr-defined]
-    return actor
+def with_learner(state: TrainState, learner: Any, step: Any) -> TrainState:
+    """A run's state after updates of the task learner of which the last has improved the actor.
+
+    Args:
+        state: before them.
+        learner: the task learner's state after them.
+        step: Polyak step of the averaged actor, [].
+    """
+    average = state.average_actor
+    if average is not None:
+        average = optax.incremental_update(learner.actor, average, step)
+    return dataclasses.replace(state, learner=learner, average_actor=average)
 
 
-def with_actor(state: TrainState, actor: Params) -> TrainState:
-    """A run's state with other parameters of μ."""
-    return dataclasses.replace(state, learner=dataclasses.replace(state.learner, actor=actor))
+def tested(state: TrainState) -> TrainState:
+    """A run's state with what is tested and kept as μ, see `AgentConfig.tested_actor`."""
+    if state.average_actor is None:
+        return state
+    learner = dataclasses.replace(state.learner, actor=state.average_actor)
+    return dataclasses.replace(state, learner=learner)
 
 
 def behavior(state: TrainState) -> Behavior:

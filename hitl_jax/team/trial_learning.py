@@ -8,9 +8,8 @@ import jax
 import jax.numpy as jnp
 
 from hitl_jax.config import RunHyper
-from hitl_jax.errors import InvalidValue
 from hitl_jax.human.caller_state import form
-from hitl_jax.learner.task_learner import AVERAGE, TaskLearner
+from hitl_jax.learner.task_learner import TaskLearner
 from hitl_jax.team.array_names import by_name
 from hitl_jax.team.diagnostics import SAMPLE, require_metrics
 from hitl_jax.team.parts import Agent
@@ -108,22 +107,6 @@ def _improve(
     after, metrics = improved
     blamed.require_same("improve", state, after)
     return metrics
-
-
-def try_average(agent: Agent, blamed: Blamed, state: Any) -> None:
-    """Tries the average of the actor, where that is tested; see `state_of_learner`."""
-    if agent.config.tested_actor != AVERAGE:
-        return
-    average_of = getattr(agent.learner, "average_actor", None)
-    if average_of is None:
-        raise InvalidValue("tested_actor", AVERAGE, "this task learner keeps none: must be last")
-    average = blamed.shapes(average_of, state)
-    kinds = [
-        (jax.tree.structure(tree), [form(leaf) for leaf in jax.tree.leaves(tree)])
-        for tree in (state.actor, average)
-    ]
-    if kinds[0] != kinds[1]:
-        raise blamed.refuse("average_actor must give parameters of the form of actor")
 
 
 def try_human_data(agent: Agent, given: Given) -> None:

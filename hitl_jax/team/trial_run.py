@@ -22,7 +22,7 @@ from hitl_jax.team.acting import init_acting
 from hitl_jax.team.packed_decision import act_or_begin
 from hitl_jax.team.parts import Agent
 from hitl_jax.team.trial_boundary import state_of_boundary_learner
-from hitl_jax.team.trial_learning import state_of_learner, try_average, try_human_data
+from hitl_jax.team.trial_learning import state_of_learner, try_human_data
 from hitl_jax.team.trial_shapes import Blamed, Given, given_of, many, sizes_of
 from hitl_jax.types import Behavior
 from hitl_jax.xla.pytree_words import pack, to_pieces
@@ -60,7 +60,6 @@ def _tried(agent: Agent, named: tuple[tuple[str, str], ...]) -> None:
     _try_intervention(agent, given, blamed["intervention"])
     try_human_data(agent, given)
     learner = state_of_learner(agent.learner, sizes, names["learner"])
-    try_average(agent, blamed["learner"], learner)
     boundary = state_of_boundary_learner(agent, given, blamed["boundary_learner"])
     risk = agent.risk_learner
     critic = None if risk is None else jax.eval_shape(risk.init, given.key).critic

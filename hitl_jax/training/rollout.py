@@ -20,7 +20,6 @@ import numpy as np
 from hitl_jax.config import typed
 from hitl_jax.envs import WalkerPool
 from hitl_jax.envs.base import require_sizes
-from hitl_jax.learner.task_learner import LAST
 from hitl_jax.results import recorded_episodes
 from hitl_jax.results.episode_measures import Row
 from hitl_jax.results.run_key import RunKey
@@ -141,11 +140,7 @@ class Rollout:
     def collect(self, run: Run) -> FinishedRun:
         """What a run has become so far; for a run that has a slot."""
         self._notes.note(wait=True)
-        train, boundary = self._learner.train_of(run.slot), self._boundary_of(run)
-        if self._agent.config.tested_actor == LAST:
-            return FinishedRun(run, train, boundary)
-        [tested] = self._learner.behaviors(np.asarray(self._learner.tested_of(run.slot))[None])
-        return FinishedRun(run, train, boundary, tested.actor)
+        return FinishedRun(run, self._learner.train_of(run.slot), self._boundary_of(run))
 
     def diagnose(self, run: Run) -> Row:
         """Losses, values and gradients of a run's learners now, see `team.diagnostics`; waits.

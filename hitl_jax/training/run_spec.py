@@ -17,7 +17,7 @@ from hitl_jax.results.diagnostic_table import COUNTERS
 from hitl_jax.results.episode_measures import Row, fall_at_once
 from hitl_jax.results.recorded_episodes import Recording
 from hitl_jax.results.run_key import RunKey
-from hitl_jax.team.parts import with_actor
+from hitl_jax.team.parts import tested
 from hitl_jax.types import Behavior, Params
 from hitl_jax.xla.devices import learning_devices
 
@@ -228,20 +228,16 @@ class FinishedRun:
         run: its record.
         train: its training state, as NumPy arrays.
         boundary: the boundary source's carry, [] or [K].
-        tested_actor: what is tested and kept in place of the learner's `actor`; None is that one.
     """
 
     run: Run
     train: Params
     boundary: np.ndarray
-    tested_actor: Params | None = None
 
     @property
     def kept(self) -> Params:
         """`train`, with what is tested as the learner's `actor`."""
-        if self.tested_actor is None:
-            return self.train
-        return with_actor(self.train, self.tested_actor)
+        return tested(self.train)
 
 
 def num_slots(num_runs: int, most: int) -> int:

@@ -99,13 +99,10 @@ def test_a_snapshot_is_what_a_shorter_run_ends_with(together):
 
 def test_the_average_is_kept_and_the_last_acts(together):
     for run in together.values():
-        learner = run.train.learner
-        jax.tree.map(np.testing.assert_array_equal, run.tested_actor, learner.target_actor)
-        assert run.kept.learner.actor is run.tested_actor
+        learner, average = run.train.learner, run.train.average_actor
+        assert run.kept.learner.actor is average
         assert run.kept.learner.critic is learner.critic
-        pairs = zip(
-            *(jax.tree.leaves(each) for each in (run.tested_actor, learner.actor)), strict=True
-        )
+        pairs = zip(*map(jax.tree.leaves, (average, learner.actor)), strict=True)
         assert any((average != last).any() for average, last in pairs)
 
 
