@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from damages import kind_of
 
+from hitl_jax.results.config_diff import CAME_LATER, flatten
+
 _OPTIONAL = {"shard", "machine", "diverged", "lost_tests", "status", "command", "made", "time"}
-_OPTIONAL |= {"matmul_precision", "human_parts", "human_actions", "extra"}  # These came later.
 _OPTIONAL |= {"label", "versions", "commit", "processor"}
+_OPTIONAL |= {name.rpartition(".")[2] for name in flatten(CAME_LATER)}
 
 
 _NUMBER = re.compile(r"(-?\d+(\.\d+)?(e[+-]?\d+)?|nan)?", re.ASCII)

@@ -1,7 +1,5 @@
 """Which actor is tested and kept: that of the last update, or the average of the last updates."""
 
-import dataclasses
-
 import chex
 import jax
 import jax.numpy as jnp
@@ -18,9 +16,11 @@ from hitl_jax.types import Transition
 _SIZES = {"learner": "td3", "hidden_sizes": (8,), "boundary_hidden_sizes": (8,)}
 
 
-def _updated(agent):
+def _updated(tested, last=True):
+    """A run's state before and after an update, or after one that does not touch the actor."""
+    agent = agents.make_agent(paper_config(**_SIZES, tested_actor=tested))
     rng = np.random.default_rng(0)
-    hyper = hyper_for(Method.SRL, paper_hyper(target_step_size=0.25))
+    hyper = hyper_for(Method.SRL, paper_hyper(average_step_size=0.25))
     batch = Transition(
         observation=jnp.asarray(rng.normal(size=(8, 24)), jnp.float32),
         action=jnp.asarray(rng.uniform(-1, 1, (8, 4)), jnp.float32),
@@ -29,64 +29,33 @@ def _updated(agent):
         next_observation=jnp.zeros((8, 24)),
     )
     before = agents.init(agent, jax.random.key(0))
-    return before, agents.update(agent, hyper, before, batch, jnp.zeros((8, 4)), True)[0]
+    return before, agents.update(agent, hyper, before, batch, jnp.zeros((8, 4)), last)[0]
 
 
 def test_the_average_is_polyaks():
-    agent = agents.make_agent(paper_config(**_SIZES, tested_actor="average"))
-    before, after = _updated(agent)
+    before, after = _updated("average")
     by_hand = jax.tree.map(
         lambda old, new: 0.75 * old + 0.25 * new, before.learner.actor, after.learner.actor
     )
-    chex.assert_trees_all_close(parts.tested_actor(agent, after), by_hand, rtol=1e-5, atol=1e-7)
+    chex.assert_trees_all_close(parts.tested(after).learner.actor, by_hand, rtol=1e-5, atol=1e-7)
+    chex.assert_trees_all_equal(parts.tested(after).learner.critic, after.learner.critic)
+
+
+def test_it_moves_with_the_actor_alone():
+    before, after = _updated("average", last=False)
+    chex.assert_trees_all_equal(before.average_actor, after.average_actor)
+
+
+def test_what_acts_and_learns_is_the_same():
+    (_, average), (_, last) = _updated("average"), _updated("last")
+    chex.assert_trees_all_equal(average.learner, last.learner)
+    chex.assert_trees_all_equal(agents.behavior(average), agents.behavior(last))
 
 
 def test_the_last_is_what_acts():
-    agent = agents.make_agent(paper_config(**_SIZES, tested_actor="last"))
-    _, after = _updated(agent)
-    assert parts.tested_actor(agent, after) is after.learner.actor
-
-
-@dataclasses.dataclass(frozen=True)
-class Own:
-    """A learner of a user's own, without an average, or with one of its own."""
-
-    inner: object
-    average_actor: object = None
-
-    def __getattr__(self, name):
-        if name == "inner" or name.startswith("__"):
-            raise AttributeError(name)
-        return getattr(self.inner, name)
-
-
-def _make(average, tested):
-    config = paper_config(**_SIZES, tested_actor=tested)
-    return agents.make_agent(config, learner=Own(config.task_learner, average))
-
-
-def test_a_learner_that_keeps_no_average_is_refused():
-    _make(None, "last")
-    with pytest.raises(InvalidValue, match=r"^tested_actor average: .* must be last$"):
-        _make(None, "average")
-
-
-def _of_another_form(state):
-    return state.critic
-
-
-def _that_fails(state):
-    raise RuntimeError("no average")
-
-
-@pytest.mark.parametrize(
-    ("average", "said"),
-    [(_of_another_form, "of the form of actor"), (_that_fails, "RuntimeError: no average")],
-)
-def test_an_average_that_cannot_act_is_refused(average, said):
-    _make(average, "last")
-    with pytest.raises(InvalidValue, match=f"^learner .*{said}"):
-        _make(average, "average")
+    _, after = _updated("last")
+    assert after.average_actor is None
+    assert parts.tested(after) is after
 
 
 @pytest.mark.parametrize("value", ["mean", "", None, 1])
