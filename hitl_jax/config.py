@@ -47,9 +47,10 @@ from hitl_jax.human.actions import ACTION_SOURCES
 from hitl_jax.human.indicator import INDICATORS
 from hitl_jax.learner.algorithms import LEARNERS
 from hitl_jax.learner.human_data import HUMAN_DATA
-from hitl_jax.learner.task_learner import LAST, TESTED_ACTORS, TaskLearner
+from hitl_jax.learner.task_learner import TaskLearner
 from hitl_jax.xla.dense_product import MATMUL_PRECISIONS
 
+LAST, AVERAGE = "last", "average"  # Of `AgentConfig.tested_actor`.
 _MOST_UNITS = 2**20
 _MOST_LAYERS = 16
 _MOST_WEIGHTS = 2**26
@@ -123,7 +124,7 @@ class AgentConfig:
     layer_norm: bool = flag(True)
     matmul_precision: str = among("float32", MATMUL_PRECISIONS)
     human_data: str = choice("imitation", HUMAN_DATA)
-    tested_actor: str = among(LAST, TESTED_ACTORS)
+    tested_actor: str = among(LAST, (LAST, AVERAGE))
     batch_size: int = whole(64, 1, _MOST_UNITS)
     n_step: int = whole(4, 1, _MOST_UNITS)
     boundary_source: str = choice("network", SOURCES)
@@ -152,13 +153,9 @@ class AgentConfig:
                 object.__setattr__(self, name, tuple(value))
         require_fields(self)
         if self.matmul_precision != "float32" and len(self.hidden_sizes) < 2:
-            raise InvalidValue(
-                "matmul_precision",
-                self.matmul_precision,
-                "is for products between hidden layers, and hidden_sizes "
-                f"{self.hidden_sizes} has one: must be float32",
-                mentions=("hidden_sizes",),
-            )
+            why = "is for products between hidden layers, and hidden_sizes "
+            why += f"{self.hidden_sizes} has one: must be float32"
+            raise InvalidValue("matmul_precision", self.matmul_precision, why, ("hidden_sizes",))
 
     @property
     def task_learner(self) -> TaskLearner:

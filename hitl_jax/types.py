@@ -157,6 +157,19 @@ class RiskState:
 
 
 @struct.dataclass
+class AveragedActor:
+    """The Polyak average of μ over its updates.
+
+    Attributes:
+        params: of the average.
+        updates: of μ so far, int32 [].
+    """
+
+    params: Params
+    updates: chex.Array
+
+
+@struct.dataclass
 class TrainState:
     """All that learning changes in one run.
 
@@ -165,14 +178,14 @@ class TrainState:
         boundary: the boundary learner.
         key: typed PRNG key of the run's learning, [].
         risk: the risk critic; None in a team that does not look at it.
-        average_actor: Polyak average of `learner.actor`; None where the last parameters are tested.
+        average: of the actor; None where the last parameters are tested.
     """
 
     learner: LearnerState
     boundary: BoundaryState
     key: chex.PRNGKey
     risk: RiskState | None = None
-    average_actor: Params | None = None
+    average: AveragedActor | None = None
 
 
 @struct.dataclass

@@ -41,6 +41,7 @@ def agent_of(intervention, with_person=True):
         batch_size=16,
         boundary_hidden_sizes=(8,),
         boundary_batch_size=8,
+        tested_actor="average",
         intervention=intervention,
     )
     if not with_person:

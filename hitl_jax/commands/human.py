@@ -76,7 +76,7 @@ def main(options: HumanOptions) -> int:
         alone, with_crew = (study.mean_return(one, mode) for mode in ("autonomous", "assisted"))
         say(f"seed {one.key.seed}: test {alone:.1f} alone, {with_crew:.1f} with the crew")
     best = study.best_hands(trained)
-    actor = best.finished.train.learner.actor
+    actor = best.finished.kept.learner.actor
     path = out / FILE
     write_bytes_atomic(path, shipped_network.to_npz(actor, PREFIX))
     say(f"{out / experience.FILE}\n{path}: seed {best.key.seed}")

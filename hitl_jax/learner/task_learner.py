@@ -15,11 +15,6 @@ State = Any
 Acting needs its field `actor`; of a trained run its fields `actor` (or its average, if that is
 tested) and `critic` are saved."""
 
-LAST, AVERAGE = "last", "average"
-TESTED_ACTORS = (LAST, AVERAGE)
-"""Which parameters of μ a test plays with, and a trained run keeps: those that the last update
-left, or their Polyak average."""
-
 
 class Sizes(Protocol):
     """What a learner is made from: these fields of `hitl_jax.config.AgentConfig`."""

@@ -45,8 +45,11 @@ class BackgroundLearner:
         self._agent, self._loop = agent, loop
         self._num_updates = loop.num_updates(agent.learner.policy_delay)
         memory = replay.init(loop.frames, 1, agent.layout)
-        device = learning_devices()[0]
-        self._train, self._memory, self._hyper = jax.device_put((train, memory, hyper), device)
+        # Copies: at the start an average is the very array of which it will be the average, and
+        # what is learned from is given away.
+        self._train, self._memory, self._hyper = jax.device_put(
+            (train, memory, hyper), learning_devices()[0], may_alias=False
+        )
         first, self._unravel = ravel_pytree(agents.behavior(train))
         self._behavior: deque[jax.Array] = deque([first] * (LAG + 1))
         self.updates = 0

@@ -10,8 +10,8 @@ from hitl_jax.config import AgentConfig, Hyper, Method, validate_hyper
 from hitl_jax.errors import InvalidValue
 from hitl_jax.sweep.changes import Parts, changed
 from hitl_jax.sweep.options import (
-    require_fading,
     require_hands,
+    require_meaning,
     require_no_simulated_judge,
     require_room,
     require_team,
@@ -80,7 +80,7 @@ class LiveOptions:
         require("answer_seconds", self.answer_seconds, at_least=0.1)
         require("port", self.port, at_least=0, at_most=65535)
         validate_hyper(self.hyper)
-        require_fading(self.hyper)
+        require_meaning(self.agent, self.hyper)
         require_team(self.agent, self.loop)
         require_room(self.agent, self.loop, slots=1)
         if self.mode == "test" and self.start is None:

@@ -29,7 +29,7 @@ from hitl_jax.live.live_person import LivePerson
 from hitl_jax.live.setup import SessionSetup
 from hitl_jax.results.episode_measures import Episode, Row, row_of
 from hitl_jax.team.acting import ActingState, begin_episode, init_acting
-from hitl_jax.team.parts import tested
+from hitl_jax.team.parts import as_tested
 from hitl_jax.team.warmup import may_learn
 from hitl_jax.training import batch_arrays
 from hitl_jax.training.run_spec import episode_seed, method_index
@@ -152,7 +152,7 @@ class Session:
 
     def networks(self) -> tuple[TrainState, np.ndarray]:
         """What was learned, and the boundary: for `checkpoint.flatten`."""
-        return tested(self._learner.train()), np.asarray(self._boundary)
+        return as_tested(self._learner.train()), np.asarray(self._boundary)
 
     def digest(self) -> str:
         """A checksum of the session's state: equal digests, equal sessions."""

@@ -10,6 +10,7 @@ import numpy as np
 from hitl_jax.config import Method, RunHyper
 from hitl_jax.team import agent as agents
 from hitl_jax.team.agent import Agent
+from hitl_jax.team.parts import first_average
 from hitl_jax.training.run_spec import LoopConfig
 from hitl_jax.types import Params, TrainState
 
@@ -73,7 +74,7 @@ def _started(agent: Agent, train: TrainState, start: dict[str, Params]) -> Train
     risk = train.risk
     if risk is not None:
         risk = dataclasses.replace(risk, critic=start["risk"])
-    average = None if train.average_actor is None else start["actor"]
+    average = first_average(agent.config, learner.actor)
     return dataclasses.replace(
-        train, learner=learner, boundary=networks, risk=risk, average_actor=average
+        train, learner=learner, boundary=networks, risk=risk, average=average
     )

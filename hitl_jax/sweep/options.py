@@ -19,7 +19,7 @@ from hitl_jax.choices.checks import (
 )
 from hitl_jax.choices.fields import choice, described
 from hitl_jax.choices.registry import is_imported
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, validate_hyper
+from hitl_jax.config import LAST, AgentConfig, Hyper, Method, hyper_for, validate_hyper
 from hitl_jax.envs import BACKENDS
 from hitl_jax.errors import InvalidValue
 from hitl_jax.evaluation.trials import MOST_TEST_EPISODES, milestones
@@ -175,7 +175,7 @@ class SweepOptions:
         validate_hyper(self.hyper)
         usual = self.of_preset(self.preset, self.human_preset)
         require_hands(self.agent, usual.agent, self.human_policy)
-        require_fading(self.hyper)
+        require_meaning(self.agent, self.hyper)
         if self.hyper.reward_weight == 0.0 and Method.SRL in self.methods:
             why = "leaves srl nothing to learn from: name other methods"
             raise InvalidValue("reward_weight", 0, why, mentions=("methods",))
@@ -220,10 +220,11 @@ def require_hands(agent: AgentConfig, usual: AgentConfig, human_policy: str | No
         require_default(agent, usual, ("human_actions",), why, mentions=("human_policy",))
 
 
-def require_fading(hyper: Hyper) -> None:
-    """Refuses a noise to fade to, where the noise does not fade.
+def require_meaning(agent: AgentConfig, hyper: Hyper) -> None:
+    """Refuses a noise to fade to where it does not fade, and the step of an average not tested.
 
     Args:
+        agent: the team.
         hyper: the run's numbers.
 
     Raises:
@@ -232,6 +233,9 @@ def require_fading(hyper: Hyper) -> None:
     if hyper.noise_steps == 0 and hyper.final_noise:
         why = "has no meaning beside noise_steps 0, with which the noise does not fade"
         raise InvalidValue("final_noise", hyper.final_noise, why, mentions=("noise_steps",))
+    if agent.tested_actor == LAST and hyper.average_step_size != Hyper().average_step_size:
+        why = f"has no meaning beside tested_actor {LAST}"
+        raise InvalidValue("average_step_size", hyper.average_step_size, why, ("tested_actor",))
 
 
 def require_no_simulated_judge(

@@ -19,8 +19,8 @@ from hitl_jax.human.actions import ACTION_SOURCES
 from hitl_jax.human.indicator import INDICATORS, Indicator
 from hitl_jax.learner import losses, replay
 from hitl_jax.learner.algorithms import LEARNERS
-from hitl_jax.learner.task_learner import AVERAGE, TaskLearner
-from hitl_jax.team.parts import Agent, with_learner
+from hitl_jax.learner.task_learner import TaskLearner
+from hitl_jax.team.parts import Agent, after_updates, first_average
 from hitl_jax.team.parts import behavior as behavior
 from hitl_jax.team.trial_run import require_runs
 from hitl_jax.types import (
@@ -184,7 +184,7 @@ def init(agent: Agent, key: chex.PRNGKey) -> TrainState:
         boundary=agent.boundary_learner.init(keys[2], keys[3]),
         key=keys[4],
         risk=None if risk is None else risk.init(jax.random.fold_in(keys[2], _OF_RISK)),
-        average_actor=learner.actor if agent.config.tested_actor == AVERAGE else None,
+        average=first_average(agent.config, learner.actor),
     )
 
 
@@ -214,7 +214,7 @@ def update(
     learner, metrics = agent.learner.improve(hyper, state.learner, batch, target, noise, last)
     if not last:
         return dataclasses.replace(state, learner=learner), metrics
-    return with_learner(state, learner, hyper.average_step_size), metrics
+    return after_updates(state, learner, hyper.average_step_size), metrics
 
 
 def update_boundary(
@@ -342,6 +342,6 @@ def _learn_task(
             target = jax.tree.map(lambda leaf, part=part: leaf[..., part], targets)
             last = index == learner.policy_delay - 1
             after, _metrics = learner.improve(hyper, after, one, target, normal[part], last)
-        return with_learner(state, after, hyper.average_step_size), None
+        return after_updates(state, after, hyper.average_step_size), None
 
     return jax.lax.scan(group, state, (drawn, noise))[0]

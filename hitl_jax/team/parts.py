@@ -6,13 +6,14 @@ from typing import Any, NamedTuple
 
 import chex
 import jax
+import jax.numpy as jnp
 import optax
 
 from hitl_jax.arbiter import Intervention
 from hitl_jax.arbiter.releases import Release
 from hitl_jax.boundary import BoundaryLearner, BoundarySource
 from hitl_jax.choices.options import Option, all_options, completed
-from hitl_jax.config import AgentConfig, as_float32
+from hitl_jax.config import LAST, AgentConfig, as_float32
 from hitl_jax.human import HumanPart
 from hitl_jax.human.actions import ActionSource
 from hitl_jax.human.indicator import Indicator, does_see_risk
@@ -21,7 +22,7 @@ from hitl_jax.learner.frame import Layout
 from hitl_jax.learner.human_data import HUMAN_DATA, HumanData
 from hitl_jax.learner.task_learner import TaskLearner
 from hitl_jax.risk import RiskLearner
-from hitl_jax.types import Behavior, BoundaryTransition, TrainState
+from hitl_jax.types import AveragedActor, Behavior, BoundaryTransition, Params, TrainState
 
 
 class Agent(NamedTuple):
@@ -138,25 +139,38 @@ class Agent(NamedTuple):
         )
 
 
-def with_learner(state: TrainState, learner: Any, step: Any) -> TrainState:
+def first_average(config: AgentConfig, actor: Params) -> AveragedActor | None:
+    """The averaged actor before the first update; None where the last parameters are tested."""
+    if config.tested_actor == LAST:
+        return None
+    return AveragedActor(params=actor, updates=jnp.zeros((), jnp.int32))
+
+
+def after_updates(state: TrainState, learner: Any, step: chex.Numeric) -> TrainState:
     """A run's state after updates of the task learner of which the last has improved the actor.
+
+    The averaged actor moves by `step`, and while it has seen few updates so far that all count
+    alike: what the first, random parameters were leaves no trace.
 
     Args:
         state: before them.
         learner: the task learner's state after them.
-        step: Polyak step of the averaged actor, [].
+        step: `hyper.average_step_size`, [].
     """
-    average = state.average_actor
+    average = state.average
     if average is not None:
-        average = optax.incremental_update(learner.actor, average, step)
-    return dataclasses.replace(state, learner=learner, average_actor=average)
+        updates = average.updates + 1
+        share = jnp.maximum(step, 1.0 / updates.astype(jnp.float32))
+        params = optax.incremental_update(learner.actor, average.params, share)
+        average = AveragedActor(params=params, updates=updates)
+    return dataclasses.replace(state, learner=learner, average=average)
 
 
-def tested(state: TrainState) -> TrainState:
+def as_tested(state: TrainState) -> TrainState:
     """A run's state with what is tested and kept as μ, see `AgentConfig.tested_actor`."""
-    if state.average_actor is None:
+    if state.average is None:
         return state
-    learner = dataclasses.replace(state.learner, actor=state.average_actor)
+    learner = dataclasses.replace(state.learner, actor=state.average.params)
     return dataclasses.replace(state, learner=learner)
 
 

@@ -25,7 +25,7 @@ from hitl_jax.team.acting import init_acting
 from hitl_jax.team.agent import Agent
 from hitl_jax.team.diagnostics import diagnose
 from hitl_jax.team.packed_decision import act_or_begin
-from hitl_jax.team.parts import tested
+from hitl_jax.team.parts import as_tested
 from hitl_jax.training.batch_arrays import (
     ActingBatch,
     LearnerBatch,
@@ -175,7 +175,7 @@ def _boundaries(agent: Agent, acting: ActingBatch) -> chex.Array:
 
 def _tested_of(agent: Agent, train: chex.Array, slot: chex.Array) -> chex.Array:
     state = unpack(some_train(agent), train[slot])
-    behavior = agents.behavior(tested(state))
+    behavior = agents.behavior(as_tested(state))
     return jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(behavior)])
 
 

@@ -17,7 +17,7 @@ from hitl_jax.results.diagnostic_table import COUNTERS
 from hitl_jax.results.episode_measures import Row, fall_at_once
 from hitl_jax.results.recorded_episodes import Recording
 from hitl_jax.results.run_key import RunKey
-from hitl_jax.team.parts import tested
+from hitl_jax.team.parts import as_tested
 from hitl_jax.types import Behavior, Params
 from hitl_jax.xla.devices import learning_devices
 
@@ -237,7 +237,7 @@ class FinishedRun:
     @property
     def kept(self) -> Params:
         """`train`, with what is tested as the learner's `actor`."""
-        return tested(self.train)
+        return as_tested(self.train)
 
 
 def num_slots(num_runs: int, most: int) -> int:

@@ -31,6 +31,7 @@ from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec
 
 _SIZES = {"observation_size": 3, "action_size": 1, "hidden_sizes": (8,), "batch_size": 8}
+_SIZES |= {"tested_actor": "average"}
 _CONFIG = paper_config(
     learner="my_sac:sac",
     boundary_source="my_team:drifting",
@@ -68,6 +69,7 @@ def words():
         ),
         *("--backend", "my_team:poles", "--observation-size", "3", "--action-size", "1"),
         *("--learner", "my_sac:sac", "--hidden-sizes", "8", "--batch-size", "8"),
+        *("--tested-actor", "average"),
         *("--boundary-source", "my_team:drifting", "--indicator", "my_team:tilt"),
         *("--danger", "my_team:steep", "--human-parts", "delay", "my_team:startled"),
         *("--human-actions", "my_team:hand", "--intervention", "my_team:patient"),

@@ -10,7 +10,7 @@ from live_team import HYPER, play, setup_of, stored
 from hitl_jax import boundary
 from hitl_jax.envs import WalkerError
 from hitl_jax.envs.visible_walker import VisibleWalker
-from hitl_jax.live import messages, person
+from hitl_jax.live import background_learner, messages, person
 from hitl_jax.live.labels import Label, boundary_along, judged
 from hitl_jax.live.session import Session
 from hitl_jax.team.agent import make_agent
@@ -297,8 +297,18 @@ def test_a_session_begins_with_networks_that_were_learned(silent):
     first = VisibleWalker().reset(episode_seed("test", 0, 0))
     np.testing.assert_array_equal(tested.frame.observation, first)
     assert tested.frame.boundary == pytest.approx(float(tau))
+    kept = tested.networks()[0].learner
+    jax.tree.map(np.testing.assert_array_equal, kept.actor, start["actor"])
     play(tested, 32)
     other = dataclasses.replace(tested.setup.agent.config, hidden_sizes=(8,))
     agent = make_agent(other, judge=person.judge(), source=person.actions(4))
     with pytest.raises(ValueError, match="its actor has other layers"):
         Session(setup_of(agent=agent, start=start))
+
+
+def test_learning_on_the_device_that_acts(monkeypatch):
+    """Where an accelerator does both, the first average must not be the actor's own array."""
+    monkeypatch.setattr(background_learner, "learning_devices", jax.devices)
+    session = Session(setup_of())
+    play(session, 96)
+    assert session.updates > 0

@@ -25,7 +25,9 @@ from hitl_jax.training.saved_run_store import Saves
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("compiled_fully")]
 
-_CONFIG = paper_config(learner="td3", hidden_sizes=(16, 16), batch_size=16, n_step=2)
+_CONFIG = paper_config(
+    learner="td3", hidden_sizes=(16, 16), batch_size=16, n_step=2, tested_actor="average"
+)
 _HYPER = paper_hyper(warmup_steps=64, initial_boundary=0.5, delta_minus=0.01, delta_plus=0.01)
 _LOOP = LoopConfig(capacity=128, chunk=8)
 _SPECS = [

@@ -255,7 +255,8 @@ def test_both_examiners_count_a_fall_and_say_so(field, at, monkeypatch):
 def test_parameters_that_are_no_numbers_are_said_as_well():
     agent, run = _finished()
     actor = jax.tree.map(lambda leaf: leaf * np.nan, run.train.learner.actor)
-    sick = run.train.replace(learner=run.train.learner.replace(actor=actor))
+    average = run.train.average.replace(params=actor)
+    sick = run.train.replace(learner=run.train.learner.replace(actor=actor), average=average)
     run = FinishedRun(run.run, sick, run.boundary)
     [(rows, _)] = evaluate_runs(HostExaminer(agent, ToyPool(3)), [run], lambda _: ("autonomous",))
     assert num_lost(rows) == 3

@@ -99,7 +99,7 @@ def test_a_snapshot_is_what_a_shorter_run_ends_with(together):
 
 def test_the_average_is_kept_and_the_last_acts(together):
     for run in together.values():
-        learner, average = run.train.learner, run.train.average_actor
+        learner, average = run.train.learner, run.train.average.params
         assert run.kept.learner.actor is average
         assert run.kept.learner.critic is learner.critic
         pairs = zip(*map(jax.tree.leaves, (average, learner.actor)), strict=True)
