@@ -143,6 +143,7 @@ def _replay(folder, *options):
     return run_main("replay", replay.main, [str(folder), *options])
 
 
+@pytest.mark.slow
 def test_every_episode_that_is_kept_can_be_had_again(swept, tmp_path, capsys):
     assert _verify(swept, "--runs", "9") == 0
     said = capsys.readouterr().out
@@ -180,6 +181,7 @@ def test_versions_that_differ_are_named_first_and_once(swept, tmp_path, capsys):
     assert "was made with" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_film_shows_the_recorded_episode(swept, tmp_path, capsys):
     films = (
         (["--method", "hitl-fix"], "hitl-fix-seed-0-training"),

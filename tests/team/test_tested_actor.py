@@ -31,9 +31,10 @@ def _updated(tested, last=True, count=1):
         discount=jnp.zeros(8),
         next_observation=jnp.zeros((8, 24)),
     )
+    update = jax.jit(agents.update, static_argnums=(0, 5))
     states = [agents.init(agent, jax.random.key(0))]
     for _ in range(count):
-        states.append(agents.update(agent, hyper, states[-1], batch, jnp.zeros((8, 4)), last)[0])
+        states.append(update(agent, hyper, states[-1], batch, jnp.zeros((8, 4)), last)[0])
     return states
 
 
