@@ -45,8 +45,8 @@ class BackgroundLearner:
         self._agent, self._loop = agent, loop
         self._num_updates = loop.num_updates(agent.learner.policy_delay)
         memory = replay.init(loop.frames, 1, agent.layout)
-        # Copies: at the start an average is the very array of which it will be the average, and
-        # what is learned from is given away.
+        # Copies: at the start the targets and the averaged actor are the networks' own arrays, and
+        # an update donates its arguments, each of which must then be another.
         self._train, self._memory, self._hyper = jax.device_put(
             (train, memory, hyper), learning_devices()[0], may_alias=False
         )

@@ -30,8 +30,13 @@ from hitl_jax.team.agent import make_agent
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec
 
-_SIZES = {"observation_size": 3, "action_size": 1, "hidden_sizes": (8,), "batch_size": 8}
-_SIZES |= {"tested_actor": "average"}
+_SMALL = {
+    "observation_size": 3,
+    "action_size": 1,
+    "hidden_sizes": (8,),
+    "batch_size": 8,
+    "tested_actor": "average",
+}
 _CONFIG = paper_config(
     learner="my_sac:sac",
     boundary_source="my_team:drifting",
@@ -40,7 +45,7 @@ _CONFIG = paper_config(
     human_parts=("delay", "my_team:startled"),
     human_actions="my_team:hand",
     intervention="my_team:patient",
-    **_SIZES,
+    **_SMALL,
 )
 _LOOP = LoopConfig(capacity=400)
 _HYPER = paper_hyper(
@@ -125,7 +130,7 @@ def test_each_has_its_part(by_name):
 
 
 def test_objects_from_python_do_the_same(by_name):
-    plain = paper_config(**_SIZES)
+    plain = paper_config(**_SMALL)
     mine = _train(
         make_agent(
             plain,

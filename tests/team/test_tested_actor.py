@@ -11,6 +11,7 @@ from paper_team import paper_config, paper_hyper
 
 from hitl_jax.config import AgentConfig, Method, hyper_for
 from hitl_jax.errors import InvalidValue
+from hitl_jax.live.options import LiveOptions
 from hitl_jax.sweep.options import SweepOptions
 from hitl_jax.team import agent as agents
 from hitl_jax.team import parts
@@ -71,6 +72,8 @@ def test_the_step_of_an_average_that_is_not_tested_is_refused():
     last = dataclasses.replace(usual.agent, tested_actor="last")
     with pytest.raises(InvalidValue, match=r"^average_step_size 0\.1: .*tested_actor"):
         dataclasses.replace(usual, agent=last, hyper=hyper).checked()
+    with pytest.raises(InvalidValue, match=r"^average_step_size 0\.1: .*tested_actor"):
+        dataclasses.replace(LiveOptions(), agent=last, hyper=hyper).checked()
 
 
 @pytest.mark.parametrize("value", ["mean", "", None, 1])
