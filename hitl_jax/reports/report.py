@@ -33,6 +33,7 @@ _SCOPE = "scope.md"
 _COMPARISONS = (
     Compared("the defaults", "full"),
     Compared("`--noise-steps 300000`", "fading"),
+    Compared("`--noise-steps 300000 --tested-actor average`", "averaged"),
     Compared("`--preset paper --learner td3-tqc`", "ten_seeds"),
     Compared("`--preset paper`", "ten_seeds_ddpg"),
 )
