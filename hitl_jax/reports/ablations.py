@@ -25,7 +25,7 @@ BUDGETS: dict[str, dict[str, Any]] = {
     "human-data": _EARLY | {"first_seed": 100},
     "exploration": _CHOICE,
     "fading": _CHOICE | {"episodes": 400, "test_episodes": 100},
-    "fixed-boundary": _CHOICE,
+    "fixed-boundary": _CHOICE | {"test_episodes": 100},
     "human-price": _CHOICE,
     "loophole": {"seeds": 10},
 }
@@ -68,20 +68,17 @@ def ablations(folder: pathlib.Path, say: Callable[[str], None]) -> str:
 
 
 _TIME = "human-time"
-_GROUPS = {"fixed-boundary": "by τ_0", "human-price": "by the price p of the human's coming"}
+_BY_START = "fixed-boundary"
 
 
 def _human_time(folder: pathlib.Path, store: Store, say: Callable[[str], None]) -> Iterator[str]:
     """What the human's time brings with fixed and learned boundaries, once both were run."""
-    groups = {}
-    for name, values in _GROUPS.items():
-        options = AblationOptions(name, **BUDGETS[name])
-        lines = measured(lines_of(name, options, store))
-        whole = [line for line in lines if len(line.runs) == options.seeds]
-        if len(whole) == len(ABLATIONS[name].settings):
-            groups[values] = whole
-    if len(groups) == len(_GROUPS):
-        drawn = attempt({_TIME: lambda: save(draw_human_time(groups), folder / _TIME)})
+    options = AblationOptions(_BY_START, **BUDGETS[_BY_START])
+    lines = measured(lines_of(_BY_START, options, store))
+    whole = [line for line in lines if len(line.runs) == options.seeds]
+    if len(whole) == sum(len(setting.methods) for setting in ABLATIONS[_BY_START].settings):
+        curves = [[line for line in whole if line.method == method] for method in _COMPARED]
+        drawn = attempt({_TIME: lambda: save(draw_human_time("τ_0 [rad]", curves), folder / _TIME)})
         for failure in drawn.failures:
             say(failure)
         yield f"### What the human's time brings\n\n![{_TIME}](ablations/{_TIME}.png)\n"

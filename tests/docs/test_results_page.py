@@ -9,6 +9,7 @@ _ROW = re.compile(r"^\| ([^|]*\[95 %\][^|]*) \| (.*) \|$", flags=re.MULTILINE)
 _KEPT = (
     "full",
     "fading",
+    "averaged",
     "ten_seeds",
     "ten_seeds_ddpg",
     "one_hour",

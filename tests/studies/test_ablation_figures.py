@@ -19,12 +19,15 @@ def _line(method, label, seconds, area):
 
 def test_each_setting_is_a_point_at_its_means():
     fixed = [_line("hitl-fix", "0.3", 200.0, 90.0), _line("hitl-fix", "0.7", 80.0, 70.0)]
-    learned = [_line("hitl-ac", "0 (default)", 150.0, 120.0)]
+    learned = [_line("hitl-ac", "0.7 (default)", 150.0, 120.0)]
     with matplotlib.rc_context():
-        [axes] = draw_human_time({"by τ_0": fixed, "by the price": learned}).axes
+        figure = draw_human_time("τ_0", [fixed, learned])
+    [axes], [legend] = figure.axes, figure.legends
     drawn = [np.transpose(line.get_data()).tolist() for line in axes.lines]
     assert drawn == [[[200.0, 90.0], [80.0, 70.0]], [[150.0, 120.0]]]
-    assert [text.get_text() for text in axes.texts] == ["0.3", "0.7", "0"]
+    assert [text.get_text() for text in axes.texts] == ["0.3", "0.7", "0.7"]
+    told = [text.get_text() for text in legend.texts]
+    assert told == ["HITL-FIX, by τ_0", "HITL-AC, by τ_0"]
 
 
 def test_settings_of_which_a_run_lacks_its_tests_are_left_out():

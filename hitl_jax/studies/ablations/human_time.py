@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,26 +30,27 @@ def measured(lines: Sequence[Line]) -> list[Line]:
     ]
 
 
-def draw_human_time(groups: Mapping[str, Sequence[Line]]) -> Figure:
-    """Points with intervals, those of a group joined in their order.
+def draw_human_time(values: str, curves: Sequence[Sequence[Line]]) -> Figure:
+    """Points with intervals, those of a curve joined in their order.
 
     Args:
-        groups: by what their labels are values of; lines of `measured`, of one method each.
+        values: what the lines' labels are values of.
+        curves: lines of `measured`, of one method each.
     """
     figure, [axes] = panels(1, 1, (COLUMN, 4.2))
-    for lines in groups.values():
-        _draw_group(axes, lines)
+    for lines in curves:
+        _draw_curve(axes, lines)
     axes.set(xlabel="in human hands during training [s]", ylabel="area under the tests")
     marks = [
-        line_mark(marker="o", label=f"{lines[0].method.upper()}, {literal(values)}", **style)
-        for values, lines in groups.items()
+        line_mark(marker="o", label=f"{lines[0].method.upper()}, by {literal(values)}", **style)
+        for lines in curves
         for style in [line_style(lines[0].method)]
     ]
     figure.legend(handles=marks, title=_GUIDE, loc="outside lower center", handlelength=3.5)
     return figure
 
 
-def _draw_group(axes: Axes, lines: Sequence[Line]) -> None:
+def _draw_curve(axes: Axes, lines: Sequence[Line]) -> None:
     style = line_style(lines[0].method)
     seconds = [line.values(_STEPS) / STEPS_PER_SECOND for line in lines]
     areas = [line.values(AREA) for line in lines]

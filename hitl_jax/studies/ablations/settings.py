@@ -106,6 +106,7 @@ _WEIGHT_50: Changes = {"extra": {"imitation_weight": 50.0}}
 _FASTEST: Changes = _FORESIGHT | {"learner": "td3-tqc"}
 _DEFAULT: Changes = _FASTEST | _IMITATION
 """Of `BASE`, what makes the defaults of it."""
+_FADING: Changes = _DEFAULT | {"noise_steps": 300_000, "tested_actor": "average"}
 
 
 _PRICES = (5.0, 10.0, 14.0)
@@ -291,10 +292,14 @@ ABLATIONS: dict[str, Ablation] = {
         is_number=True,
     ),
     "fixed-boundary": Ablation(
-        "Which fixed boundary serves learning, and what it asks of the human: τ_0 [rad]",
+        "A fixed boundary, and one that is learned from there: τ_0 [rad]",
         tuple(
-            Setting(f"{start:g}", _DEFAULT | {"initial_boundary": start}, _FIX)
-            for start in (0.1, 0.2, 0.3, 0.45, 0.7, 1.0)
+            Setting(
+                f"{start:g}",
+                _FADING | {"initial_boundary": start},
+                _HUMAN if start else _FIX,
+            )
+            for start in (0.0, 0.1, 0.3, 0.7)
         ),
         is_number=True,
     ),
