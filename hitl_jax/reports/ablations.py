@@ -72,13 +72,13 @@ _BY_START = "fixed-boundary"
 
 
 def _human_time(folder: pathlib.Path, store: Store, say: Callable[[str], None]) -> Iterator[str]:
-    """What the human's time brings with fixed and learned boundaries, once both were run."""
+    """What the human's time brings with fixed and learned boundaries, once every run is there."""
     options = AblationOptions(_BY_START, **BUDGETS[_BY_START])
     lines = measured(lines_of(_BY_START, options, store))
     whole = [line for line in lines if len(line.runs) == options.seeds]
     if len(whole) == sum(len(setting.methods) for setting in ABLATIONS[_BY_START].settings):
         curves = [[line for line in whole if line.method == method] for method in _COMPARED]
-        drawn = attempt({_TIME: lambda: save(draw_human_time("τ_0 [rad]", curves), folder / _TIME)})
+        drawn = attempt({_TIME: lambda: save(draw_human_time("τ_0", curves), folder / _TIME)})
         for failure in drawn.failures:
             say(failure)
         yield f"### What the human's time brings\n\n![{_TIME}](ablations/{_TIME}.png)\n"

@@ -106,7 +106,8 @@ _WEIGHT_50: Changes = {"extra": {"imitation_weight": 50.0}}
 _FASTEST: Changes = _FORESIGHT | {"learner": "td3-tqc"}
 _DEFAULT: Changes = _FASTEST | _IMITATION
 """Of `BASE`, what makes the defaults of it."""
-_FADING: Changes = _DEFAULT | {"noise_steps": 300_000, "tested_actor": "average"}
+_AVERAGED: Changes = _DEFAULT | {"noise_steps": 300_000, "tested_actor": "average"}
+"""The options of `averaged` in results/README.md."""
 
 
 _PRICES = (5.0, 10.0, 14.0)
@@ -296,7 +297,7 @@ ABLATIONS: dict[str, Ablation] = {
         tuple(
             Setting(
                 f"{start:g}",
-                _FADING | {"initial_boundary": start},
+                _AVERAGED | {"initial_boundary": start},
                 _HUMAN if start else _FIX,
             )
             for start in (0.0, 0.1, 0.3, 0.7)
