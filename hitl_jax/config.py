@@ -124,7 +124,7 @@ class AgentConfig:
     layer_norm: bool = flag(True)
     matmul_precision: str = among("float32", MATMUL_PRECISIONS)
     human_data: str = choice("imitation", HUMAN_DATA)
-    tested_actor: str = among(LAST, (LAST, AVERAGE))
+    tested_actor: str = among(AVERAGE, (LAST, AVERAGE))
     batch_size: int = whole(64, 1, _MOST_UNITS)
     n_step: int = whole(4, 1, _MOST_UNITS)
     boundary_source: str = choice("network", SOURCES)
@@ -177,8 +177,8 @@ class Hyper:
         target_noise: standard deviation of TD3's target smoothing, in units of action.
         target_noise_clip: bound of that noise.
         exploration_noise: standard deviation of the action noise, in units of action.
-        noise_steps: environment steps over which the action noise fades evenly to `final_noise`; 0
-            keeps it as it is.
+        noise_steps: environment steps over which the action noise fades evenly to `final_noise`,
+            however long the run is; 0 keeps it as it is.
         final_noise: what the noise has faded to, a standard deviation in units of action.
         noise_correlation: correlation of the action noise from step to step; 0 is white. The noise
             starts from 0 in every episode.
@@ -226,7 +226,7 @@ class Hyper:
     target_noise: float = number(0.2, 0)
     target_noise_clip: float = number(0.5, 0)
     exploration_noise: float = number(0.3, 0)
-    noise_steps: int = whole(0, unit="steps")
+    noise_steps: int = whole(300_000, unit="steps")
     final_noise: float = number(0.0, 0)
     noise_correlation: float = number(0.8, 0.0, 0.999, unit="1")
     noise_free_every: int = whole(2)

@@ -62,16 +62,16 @@ def in_resamples(holds: np.ndarray, of: Sequence[np.ndarray]) -> tuple[str, str]
         holds: bool [resamples].
         of: the numbers that were compared, [resamples] each; NaN in one decides nothing.
     """
-    share = share_of(holds, of)
-    return verdict_of(share), f"so in {100 * share:.0f} % of resamples of the seeds"
+    share = _share_of(holds, of)
+    return _verdict_of(share), f"so in {100 * share:.0f} % of resamples of the seeds"
 
 
-def share_of(holds: np.ndarray, of: Sequence[np.ndarray]) -> float:
+def _share_of(holds: np.ndarray, of: Sequence[np.ndarray]) -> float:
     """The share of resamples in which a claim holds; NaN if a number that it compares is NaN."""
     return float("nan") if np.isnan(of).any() else float(holds.mean())
 
 
-def verdict_of(share: float) -> str:
+def _verdict_of(share: float) -> str:
     """The verdict from such a share; NaN decides nothing."""
     return HOLDS if share >= 0.975 else HOLDS_NOT if share <= 0.025 else UNDECIDED
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax.benchmarks.timing import best
-from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, typed
+from hitl_jax.config import LAST, AgentConfig, Hyper, Method, hyper_for, typed
 from hitl_jax.learner import replay
 from hitl_jax.learner.deterministic import DeterministicActorCritic
 from hitl_jax.results.episode_measures import Row
@@ -62,7 +62,9 @@ def measure_learner(seconds: float) -> list[Row]:
 
     The same again with hidden layers multiplied in bfloat16, beside such a product.
     """
-    plain = AgentConfig(learner="td3", human_data="transitions", layer_norm=False)
+    plain = AgentConfig(
+        learner="td3", human_data="transitions", tested_actor=LAST, layer_norm=False
+    )
     wide = dataclasses.replace(plain, hidden_sizes=(256, 256), batch_size=256)
     narrow = dataclasses.replace(plain, hidden_sizes=(128, 128), batch_size=128)
     peaks = {precision: measure_product(seconds, precision) for precision in MATMUL_PRECISIONS}

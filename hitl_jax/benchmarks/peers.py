@@ -23,7 +23,7 @@ import numpy as np
 
 from hitl_jax.benchmarks.loop import WARMUP_STEPS, play, specs_of, warm_up
 from hitl_jax.benchmarks.pool import WALKERS, plain_rate, pool_rate
-from hitl_jax.config import AgentConfig, Method
+from hitl_jax.config import LAST, AgentConfig, Method
 from hitl_jax.envs import WALKER, make_pool
 from hitl_jax.results.episode_measures import Row
 from hitl_jax.team.agent import make_agent
@@ -184,6 +184,7 @@ def _ours(width: int, batch_size: int, backend: str, precision: str, seconds: fl
     config = AgentConfig(
         learner="td3",
         human_data="transitions",
+        tested_actor=LAST,
         hidden_sizes=(width, width),
         batch_size=batch_size,
         n_step=1,

@@ -13,9 +13,10 @@ class ReportOptions:
     """Rebuilds REPORT.md, the summaries, the tables and the figures of a folder of results.
 
     Attributes:
-        results: the folder, with `full`, `fading`, `ten_seeds`, `ten_seeds_ddpg`, `foresight_ddpg`,
-            `foresight_120`, `foresight_160`, `ablations`, `network` and `tuning` in it, and what
-            people wrote of the scope (`scope.md`); what is missing is said in the report.
+        results: the folder, with `full`, `steady_noise`, `fading`, `ten_seeds`, `ten_seeds_ddpg`,
+            `foresight_ddpg`, `foresight_120`, `foresight_160`, `ablations`, `network` and
+            `tuning` in it, and what people wrote of the scope (`scope.md`); what is missing is said
+            in the report.
     """
 
     results: str = "results"

@@ -6,16 +6,12 @@ from typing import Any
 
 from hitl_jax.analysis.figure_style import attempt, save
 from hitl_jax.config import Method
-from hitl_jax.reports.comparison import table_of
 from hitl_jax.studies.ablations.human_time import draw_human_time, measured
 from hitl_jax.studies.ablations.options import AblationOptions
-from hitl_jax.studies.ablations.settings import ABLATIONS, BASE
-from hitl_jax.studies.ablations.starts import judge_starts
+from hitl_jax.studies.ablations.settings import ABLATIONS
 from hitl_jax.studies.ablations.store import Store
 from hitl_jax.studies.ablations.write import lines_of, write_ablation
-from hitl_jax.sweep.changes import changed
 
-_STARTS = "initial-boundary"
 _COMPARED = (Method.HITL_FIX, Method.HITL_AC)
 _EARLY = {"seeds": 10, "episodes": 120}
 _CHOICE = {"seeds": 10, "first_seed": 100, "episodes": 160}
@@ -25,7 +21,7 @@ BUDGETS: dict[str, dict[str, Any]] = {
     "human-data": _EARLY | {"first_seed": 100},
     "exploration": _CHOICE,
     "fading": _CHOICE | {"episodes": 400, "test_episodes": 100},
-    "fixed-boundary": _CHOICE | {"test_episodes": 100},
+    "initial-boundary": _CHOICE | {"test_episodes": 100},
     "human-price": _CHOICE,
     "loophole": {"seeds": 10},
 }
@@ -50,7 +46,7 @@ def ablations(folder: pathlib.Path, say: Callable[[str], None]) -> str:
     store = Store(folder / "runs.csv")
     if not store.path.exists():
         return f"{title}\nNot run yet.\n"
-    parts = [title, _BASE, *_starts(AblationOptions(name="all"), store)]
+    parts = [title, _BASE]
     for name in ABLATIONS:
         budget = BUDGETS.get(name, {})
         text, failures = write_ablation(name, AblationOptions(name, **budget), store)
@@ -68,7 +64,7 @@ def ablations(folder: pathlib.Path, say: Callable[[str], None]) -> str:
 
 
 _TIME = "human-time"
-_BY_START = "fixed-boundary"
+_BY_START = "initial-boundary"
 
 
 def _human_time(folder: pathlib.Path, store: Store, say: Callable[[str], None]) -> Iterator[str]:
@@ -82,16 +78,3 @@ def _human_time(folder: pathlib.Path, store: Store, say: Callable[[str], None]) 
         for failure in drawn.failures:
             say(failure)
         yield f"### What the human's time brings\n\n![{_TIME}](ablations/{_TIME}.png)\n"
-
-
-def _starts(options: AblationOptions, store: Store) -> list[str]:
-    """The claims about τ_0, once every run that they need is there."""
-    lines = {(line.label, line.method): line.runs for line in lines_of(_STARTS, options, store)}
-    labels = [setting.label for setting in ABLATIONS[_STARTS].settings]
-    fixed, learned = (
-        {label: lines.get((label, method), []) for label in labels} for method in _COMPARED
-    )
-    if {len(runs) for runs in (*fixed.values(), *learned.values())} != {options.seeds}:
-        return []
-    base = next(s.label for s in ABLATIONS[_STARTS].settings if not s.changes)
-    return [table_of(judge_starts(fixed, learned, base, changed(BASE).hyper.human.tolerance))]

@@ -146,12 +146,12 @@ def compare(comparison: Compared, root: pathlib.Path, say: Callable[[str], None]
         f"{config['test_episodes']} test episodes each, {steps:.1f} million environment steps of "
         f"training. Commit {made}; machine: {where}. Options and versions of every run "
         f"are in `{name}`, its tables in [{name}/summary.md]({name}/summary.md).\n\n"
-        f"{diverged if lost else ''}{table_of(claims)}\n{figures}"
+        f"{diverged if lost else ''}{_table_of(claims)}\n{figures}"
     )
     return Section(comparison, text, claims)
 
 
-def table_of(claims: Sequence[Claim]) -> str:
+def _table_of(claims: Sequence[Claim]) -> str:
     """Claims as a table."""
     rows = [["claim", "the paper", "to hold", "measured", "seeds", "verdict"]]
     rows += [[c.name, c.paper, c.aim, c.measured, str(c.seeds), f"**{c.verdict}**"] for c in claims]

@@ -32,8 +32,8 @@ _SCOPE = "scope.md"
 """What a program cannot say on the report's first pages; it is taken as it is."""
 _COMPARISONS = (
     Compared("the defaults", "full"),
-    Compared("`--noise-steps 300000`", "fading"),
-    Compared("`--noise-steps 300000 --tested-actor average`", "averaged"),
+    Compared("`--noise-steps 0 --tested-actor last`", "steady_noise"),
+    Compared("`--tested-actor last`", "fading"),
     Compared("`--preset paper --learner td3-tqc`", "ten_seeds"),
     Compared("`--preset paper`", "ten_seeds_ddpg"),
 )

@@ -1,14 +1,11 @@
 """Configurations told by what they change of the defaults."""
 
 import dataclasses
-import pathlib
 from typing import Any, NamedTuple
 
 from hitl_jax.config import AgentConfig, Hyper, validate_hyper
 from hitl_jax.human.judgement import HumanParams
 from hitl_jax.training.run_spec import LoopConfig
-
-_ROOT = pathlib.Path(__file__).parents[2]
 
 Changes = dict[str, Any]
 """Values by the names of the options; those of the human without `human.`."""
@@ -21,8 +18,7 @@ class Parts(NamedTuple):
         agent: static choices.
         loop: how much is played and learned.
         hyper: traced hyperparameters.
-        human_policy: a `params.npz` whose actor gives a^h, from this repository's root on; None:
-            as `human_actions` says.
+        human_policy: a `params.npz` whose actor gives a^h; None: as `human_actions` says.
     """
 
     agent: AgentConfig
@@ -47,9 +43,7 @@ def changed(changes: Changes) -> Parts:
 
     hyper = dataclasses.replace(change(Hyper()), human=change(HumanParams(), "extra"))
     validate_hyper(hyper)
-    policy = changes.get("human_policy")
-    policy = None if policy is None else str(_ROOT / policy)
-    parts = Parts(change(AgentConfig()), change(LoopConfig()), hyper, policy)
-    if unknown := changes.keys() - used - {"human_policy"}:
+    parts = Parts(change(AgentConfig()), change(LoopConfig()), hyper, human_policy=None)
+    if unknown := changes.keys() - used:
         raise ValueError(f"{', '.join(sorted(unknown))}: no such option")
     return parts

@@ -45,7 +45,8 @@ class SweepOptions:
             `quick` is for looking around (2 seeds, 100 episodes, 20 test episodes, a few minutes);
             `paper` has 10 seeds, 1000 episodes and 100 test episodes, and what section IV of the
             paper says, whatever the other defaults are: its kind of learner (`ddpg`), a human who
-            judges the angle at once and resets the walker, a boundary that line 8 moves.
+            judges the angle at once and resets the walker, a boundary that line 8 moves,
+            action noise that stays, tests of the last parameters.
         human_preset: the simulated human, with hands and feedback: `person` reacts after 0.2 s,
             foresees falls and takes over; `ideal` judges the angle at once and resets the walker;
             `preset` is `ideal` with the preset `paper`, else `person`.

@@ -74,15 +74,15 @@ def test_a_full_disk_is_the_folders_error(plain, monkeypatch):
 def test_the_other_drawings_cost_nothing_either(tmp_path, monkeypatch):
     """Of an ablation, of the benchmark, of alarms."""
     monkeypatch.setattr(figure, "draw_rows", _fails)
-    options = AblationOptions(name="methods", seeds=1)
+    options = AblationOptions(name="fading", seeds=1)
     store = Store(tmp_path / "runs.csv")
-    setting, parts = next(settings_of(ABLATIONS["methods"]))
+    setting, parts = next(settings_of(ABLATIONS["fading"]))
     [run, *_] = runs_of(setting, parts, options)
     store.add(run, dict.fromkeys(_MEASURES, 1.0) | {"commit": "abc"})
-    written = write_ablation("methods", options, store)
+    written = write_ablation("fading", options, store)
     assert written.table
-    assert written.failures == ["methods: could not be drawn: RuntimeError: there is no font"]
-    assert (tmp_path / "methods.md").exists()
+    assert written.failures == ["fading: could not be drawn: RuntimeError: there is no font"]
+    assert (tmp_path / "fading.md").exists()
     monkeypatch.setattr(scaling, "draw_rows", _fails)
     [told] = scaling.draw_scaling([], str(tmp_path / "scaling.svg"))
     assert "scaling.svg: could not be drawn: " in told

@@ -13,42 +13,9 @@ from hitl_jax.errors import ResultsError
 from hitl_jax.reports import comparison
 from hitl_jax.reports import report as reports
 from hitl_jax.reports.cost import cost_of_choices
-from hitl_jax.studies.ablations.starts import judge_starts
 from hitl_jax.studies.ablations.store import Store
 
 _RESULTS = pathlib.Path(__file__).parents[2] / "results"
-
-
-def _starts(low, high):
-    """Runs from τ_0 of 0.5 and 1: a return and interventions, all but equal in five seeds."""
-    return {
-        label: [
-            {
-                "test_return_mean": value + seed,
-                "train_interventions": work,
-                "alarm_agreement": 0.5,
-            }
-            for seed in range(5)
-        ]
-        for label, (value, work) in {"0.5": low, "1 (base)": high}.items()
-    }
-
-
-def test_claims_about_tau_0():
-    fixed = _starts((100.0, 200.0), (250.0, 100.0))
-    claims = judge_starts(fixed, _starts((300.0, 50.0), (290.0, 50.0)), base="0.5", tolerance=0.45)
-    assert [claim.verdict for claim in claims] == [HOLDS] * 3
-    assert "from 0.5: +200 [+200, +200]; from 1 (base): +40 [+40, +40]" in claims[0].measured
-    assert claims[1].measured == "+50 [+50, +50] against τ_0 = 1 (base)"
-    # 50 / 0.5 / 302 and 100 / 0.5 / 252
-    assert claims[2].measured.startswith(
-        "0.33 [0.33, 0.33] against 0.79 [0.79, 0.80] at τ_0 = 1 (base); fewer in 100 %"
-    )
-    worse = judge_starts(fixed, _starts((150.0, 300.0), (150.0, 300.0)), base="0.5", tolerance=0.45)
-    assert [claim.verdict for claim in worse] == [HOLDS_NOT] * 3
-    hopeless = judge_starts(fixed, _starts((-90.0, 1.0), (-90.0, 1.0)), base="0.5", tolerance=0.45)
-    assert hopeless[2].measured.startswith("inf [inf, inf] against 0.79")
-    assert hopeless[2].verdict == HOLDS_NOT
 
 
 @pytest.mark.slow
@@ -68,33 +35,6 @@ def test_what_is_committed_is_what_the_data_give(tmp_path, monkeypatch):
 def test_a_folder_without_results_is_refused(folder, capsys):
     assert run_main("report", report.main, ["--results", folder]) == 2
     assert capsys.readouterr().err == f"error: --results {folder}: holds no results\n"
-
-
-def test_where_tau_0_changes_nothing_the_difference_is_called_noise():
-    fixed, learned = _starts((40.0, 9.0), (250.0, 9.0)), _starts((140.0, 9.0), (260.0, 9.0))
-    [claim, *_] = judge_starts(fixed, learned, base="1 (base)", tolerance=0.5)
-    assert claim.measured.endswith(
-        "From τ_0 = 0.5, at most the human's tolerance of 0.5 rad, neither method's interventions "
-        "depend on τ: its seeds draw other random numbers, and the difference there is what the "
-        "means of 5 seeds vary by"
-    )
-    assert claim.seeds == 5
-    [claim, *_] = judge_starts(fixed, learned, base="1 (base)", tolerance=0.45)
-    assert "tolerance" not in claim.measured
-
-
-@pytest.mark.parametrize("measure", ["test_return_mean", "alarm_agreement", "train_interventions"])
-@pytest.mark.parametrize("whose", ["fixed", "learned"])
-def test_claims_about_tau_0_without_a_number_are_not_decided(measure, whose):
-    made = {
-        "fixed": _starts((100.0, 200.0), (250.0, 100.0)),
-        "learned": _starts((300.0, 50.0), (290.0, 50.0)),
-    }
-    made[whose]["0.5"][3][measure] = None
-    made[whose]["1 (base)"][3][measure] = float("nan")
-    verdicts = [claim.verdict for claim in judge_starts(**made, base="0.5", tolerance=0.45)]
-    assert verdicts[2] == UNDECIDED
-    assert verdicts[:2] == [UNDECIDED if measure == "test_return_mean" else HOLDS] * 2
 
 
 def test_other_options_have_a_line_for_each_claim_that_is_judged_somewhere():

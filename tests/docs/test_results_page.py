@@ -8,8 +8,8 @@ from pages import ROOT, section
 _ROW = re.compile(r"^\| ([^|]*\[95 %\][^|]*) \| (.*) \|$", flags=re.MULTILINE)
 _KEPT = (
     "full",
+    "steady_noise",
     "fading",
-    "averaged",
     "ten_seeds",
     "ten_seeds_ddpg",
     "one_hour",

@@ -123,7 +123,7 @@ def test_commands_that_need_box2d_say_so_in_one_line(tmp_path):
     lines = {
         "backend 'lean'": [
             (*_SWEEP, *new, "--backend", "lean"),
-            ("ablation", "methods", *new),
+            ("ablation", "fading", *new),
             ("tuning", *new),
             ("faults", *new),
             ("agreement", "--only", "scripted"),

@@ -248,7 +248,7 @@ class Recording:
 
 
 def test_all_minibatches_of_a_call_have_their_half():
-    agent = agents.make_agent(AgentConfig(human_data="half", batch_size=32))
+    agent = agents.make_agent(AgentConfig(human_data="half", tested_actor="last", batch_size=32))
     layout, hyper = agent.layout, hyper_for(Method.SRL, Hyper())
     frames = np.zeros((1, 512, layout.width), np.float32)
     frames[0, ::8, layout.event] = frame.CUT_OFF

@@ -15,10 +15,8 @@ class AblationOptions:
     """Compare settings of one part of the team, each over several seeds.
 
     Attributes:
-        name: one of methods, exploration, fading, intervention, feedback, source, delta,
-            initial-boundary, indicator, human-tolerance, human-delay, human-mistakes,
-            human-attention, arbiter, boundary-parts, boundary-start, fixed-boundary, human-price,
-            human-data, loophole; or `all`.
+        name: one of exploration, fading, feedback, loophole, boundary-parts, boundary-start,
+            initial-boundary, human-price, human-data; or `all`.
         seeds: number of seeds for each setting.
         first_seed: the first of them.
         episodes: training episodes of a run.

@@ -21,7 +21,7 @@ from hitl_jax.results.provenance import short_commit
 from hitl_jax.studies.ablations.late_training import late_training
 from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.settings import ABLATIONS, BASE, Ablation, Setting
-from hitl_jax.studies.ablations.store import AREA, Row, RunId, Store, digest
+from hitl_jax.studies.ablations.store import AREA, FALLS, Row, RunId, Store, digest
 from hitl_jax.sweep.autosave import SAVE_SECONDS
 from hitl_jax.sweep.changes import Parts, changed
 from hitl_jax.sweep.run_sweep import Display
@@ -143,4 +143,5 @@ def summary_of(tested: Tested) -> Row:
     trained = Run(run.spec.key, info, episodes, tests, progress)
     row = summarise_run(trained) | late_training(trained, run.spec.hyper.unattended_every)
     row |= {AREA: area_of(trained, milestones(run.spec.episodes))}
+    row |= {FALLS: int(episodes["fall"].sum())}
     return {name: value for name, value in row.items() if name not in ("method", "seed")}

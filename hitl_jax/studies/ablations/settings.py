@@ -51,32 +51,13 @@ class Ablation:
     is_number: bool = False
 
 
-def _each(option: str, values: tuple[float, ...], methods: tuple[Method, ...]) -> list[Setting]:
-    return [Setting(f"{value:g}", {option: value}, methods) for value in values]
-
-
-_TRAINED = "results/ten_seeds/runs/hitl-fix/seed-0009/params.npz"
-
-_TAKEOVER: Changes = {"intervention": "takeover"}
-_HELD: Changes = _TAKEOVER | {
+_HELD: Changes = {
+    "intervention": "takeover",
     "takeover_steps": 50,
     "human_actions": "trained",
     "feedback_schedule": "onset",
 }
 """A takeover by a walker that can walk, for at least a second."""
-_NETWORK: Changes = {"boundary_source": "network"}
-_RESIDUAL: Changes = {"boundary_source": "residual"}
-
-_BUDGET = 0.0024
-"""Interventions per step of HITL-AC in its first 300 episodes (results/ten_seeds)."""
-
-_RANDOM: Changes = {
-    "boundary_low": 0.0,
-    "initial_boundary": 0.0,  # an alarm at every step
-    "tolerance": 1000.0,  # no state is dangerous
-    "mistake_rate": _BUDGET,
-}
-"""A human who intervenes at random."""
 
 _FORESIGHT: Changes = {
     "learner": "ddpg",
@@ -104,10 +85,10 @@ for the delay."""
 _IMITATION: Changes = {"human_data": "imitation"}
 _WEIGHT_50: Changes = {"extra": {"imitation_weight": 50.0}}
 _FASTEST: Changes = _FORESIGHT | {"learner": "td3-tqc"}
-_DEFAULT: Changes = _FASTEST | _IMITATION
+_STEADY: Changes = _FASTEST | _IMITATION
+"""The defaults, but action noise that stays and tests of the last parameters."""
+_DEFAULT: Changes = _STEADY | {"noise_steps": 300_000, "tested_actor": "average"}
 """Of `BASE`, what makes the defaults of it."""
-_AVERAGED: Changes = _DEFAULT | {"noise_steps": 300_000, "tested_actor": "average"}
-"""The options of `averaged` in results/README.md."""
 
 
 _PRICES = (5.0, 10.0, 14.0)
@@ -120,47 +101,30 @@ def _without(part: str) -> Setting:
 
 
 ABLATIONS: dict[str, Ablation] = {
-    "methods": Ablation(
-        "The three methods",
-        (Setting("base", methods=tuple(Method)),),
-    ),
-    "intervention": Ablation(
-        "What an intervention does",
-        (
-            Setting("reset, terminal (base)"),
-            Setting("reset, truncated", {"human_reset_terminates": False}),
-            Setting("takeover", _TAKEOVER),
-            Setting("takeover, noisy hands", _TAKEOVER | {"human_action_noise": 0.3}),
-            Setting("takeover, trained hands", _TAKEOVER | {"human_policy": _TRAINED}),
-            Setting("penalty", {"intervention": "penalty"}),
-        ),
-    ),
     "exploration": Ablation(
         "Standard deviation of action noise that does not fade",
         (
-            Setting("0.1", _DEFAULT | {"exploration_noise": 0.1}, tuple(Method)),
-            Setting("0.3 (default)", _DEFAULT, tuple(Method)),
+            Setting("0.1", _STEADY | {"exploration_noise": 0.1}, tuple(Method)),
+            Setting("0.3", _STEADY, tuple(Method)),
         ),
         is_number=True,
     ),
     "fading": Ablation(
         "To what action noise of 0.3 fades over 300,000 steps",
         (
-            Setting("not at all (default)", _DEFAULT, tuple(Method)),
+            Setting("not at all", _STEADY, tuple(Method)),
             Setting(
-                "to 0.1", _DEFAULT | {"noise_steps": 300_000, "final_noise": 0.1}, tuple(Method)
+                "to 0.1", _STEADY | {"noise_steps": 300_000, "final_noise": 0.1}, tuple(Method)
             ),
         ),
     ),
     "feedback": Ablation(
-        "The human's feedback r(s, a^h)",
+        "The human's feedback r(s, a^h), where they reset",
         (
             Setting("0", {"feedback": 0.0}),
             Setting("-5", {"feedback": -5.0}),
             Setting("-20 (base)"),
             Setting("-100", {"feedback": -100.0}),
-            Setting("-20, takeover, each step", _TAKEOVER),
-            Setting("-20, takeover, once", _TAKEOVER | {"feedback_schedule": "episode"}),
         ),
     ),
     "loophole": Ablation(
@@ -185,93 +149,6 @@ ABLATIONS: dict[str, Ablation] = {
             Setting("the default", _DEFAULT, _FIX),
         ),
     ),
-    "source": Ablation(
-        "How the network and the Δ rule make the boundary",
-        (
-            Setting("rule (base)"),
-            Setting("network", _NETWORK),
-            Setting("network, ρ = 0", _NETWORK | {"alarm_reward": 0.0}),
-            Setting("network, ρ = 10", _NETWORK | {"alarm_reward": 10.0}),
-            Setting("residual", _RESIDUAL),
-            Setting("residual, ρ = 0", _RESIDUAL | {"alarm_reward": 0.0}),
-        ),
-    ),
-    "delta": Ablation(
-        "The steps of the boundary [rad]",
-        (
-            Setting("Δ = 0.0001", {"delta_minus": 1e-4, "delta_plus": 1e-4}),
-            Setting("Δ = 0.001 (base)"),
-            Setting("Δ = 0.01", {"delta_minus": 1e-2, "delta_plus": 1e-2}),
-            Setting("Δ⁻ = 0.003, Δ⁺ = 0.001", {"delta_minus": 3e-3}),
-            Setting("Δ⁻ = 0.001, Δ⁺ = 0.003", {"delta_plus": 3e-3}),
-        ),
-    ),
-    "initial-boundary": Ablation(
-        "τ_0 [rad]",
-        (
-            *_each("initial_boundary", (0.2, 0.45), _HUMAN),
-            Setting("0.7 (base)", methods=_HUMAN),
-            *_each("initial_boundary", (1.0, 1.4), _HUMAN),
-        ),
-        is_number=True,
-    ),
-    "indicator": Ablation(
-        "The safety indicator",
-        (
-            Setting("hull angle (base)"),
-            Setting("weighted: the angle in 0.1 s", {"indicator": "weighted"}),
-            Setting(
-                "weighted; the human looks 0.1 s ahead",
-                {"indicator": "weighted", "danger": "predictive", "horizon": 0.1},
-            ),
-        ),
-    ),
-    "human-tolerance": Ablation(
-        "The human's threshold of danger [rad]",
-        (
-            *_each("tolerance", (0.3,), _AC),
-            Setting("0.45 (base)"),
-            *_each("tolerance", (0.6, 0.8), _AC),
-        ),
-        is_number=True,
-    ),
-    "human-delay": Ablation(
-        "The human's reaction delay [steps of 0.02 s]",
-        (
-            Setting("0 (base)", methods=_HUMAN),
-            *_each("delay", (10, 25), _HUMAN),
-        ),
-        is_number=True,
-    ),
-    "human-mistakes": Ablation(
-        "Share of wrong judgements",
-        (
-            Setting("0 (base)", methods=_HUMAN),
-            *_each("mistake_rate", (0.1, 0.3), _HUMAN),
-        ),
-        is_number=True,
-    ),
-    "human-attention": Ablation(
-        "Lapses and limited attention",
-        (
-            Setting("always there (base)", methods=_HUMAN),
-            Setting("misses 30 % of the steps", {"lapse_rate": 0.3}, _HUMAN),
-            Setting("at most 100 interventions", {"max_interventions": 100}, _HUMAN),
-            Setting("a rest of 500 steps", {"refractory_steps": 500}, _HUMAN),
-        ),
-    ),
-    "arbiter": Ablation(
-        "Other arbiters; quantile, PID and random are given the rate of HITL-AC",
-        (
-            Setting("Δ rule (base)"),
-            Setting("fixed", methods=(Method.HITL_FIX,)),
-            Setting("quantile", {"boundary_source": "quantile", "target_rate": _BUDGET}),
-            Setting("PID", {"boundary_source": "pid", "target_rate": _BUDGET}),
-            Setting("random", _RANDOM, (Method.HITL_FIX,)),
-            Setting("Δ rule, takeover", _TAKEOVER),
-            Setting("Δ rule, takeover, hysteresis", _TAKEOVER | {"release": "hysteresis"}),
-        ),
-    ),
     "boundary-parts": Ablation(
         "What the boundary learner is made of",
         (
@@ -292,23 +169,21 @@ ABLATIONS: dict[str, Ablation] = {
         ),
         is_number=True,
     ),
-    "fixed-boundary": Ablation(
+    "initial-boundary": Ablation(
         "A fixed boundary, and one that is learned from there: τ_0 [rad]",
-        tuple(
-            Setting(
-                f"{start:g}",
-                _AVERAGED | {"initial_boundary": start},
-                _HUMAN if start else _FIX,
-            )
-            for start in (0.0, 0.1, 0.3, 0.7)
+        (
+            Setting("0", _DEFAULT | {"initial_boundary": 0.0}, _FIX),
+            Setting("0.1", _DEFAULT | {"initial_boundary": 0.1}, _HUMAN),
+            Setting("0.3", _DEFAULT | {"initial_boundary": 0.3}, _HUMAN),
+            Setting("0.7 (default)", _DEFAULT, _HUMAN),
         ),
         is_number=True,
     ),
     "human-price": Ablation(
         "What the human's coming costs the boundary learner: p, in units of reward",
         (
-            Setting("0 (default)", _DEFAULT),
-            *(Setting(f"{price:g}", _DEFAULT | {"human_price": price}) for price in _PRICES),
+            Setting("0", _STEADY),
+            *(Setting(f"{price:g}", _STEADY | {"human_price": price}) for price in _PRICES),
         ),
         is_number=True,
     ),
@@ -317,7 +192,7 @@ ABLATIONS: dict[str, Ablation] = {
         (
             Setting("transitions", _FASTEST, _HUMAN),
             Setting("half", _FASTEST | {"human_data": "half"}, _HUMAN),
-            Setting("imitation, weight 10 (default)", _FASTEST | _IMITATION, _HUMAN),
+            Setting("imitation, weight 10", _FASTEST | _IMITATION, _HUMAN),
             Setting("weight 50", _FASTEST | _IMITATION | _WEIGHT_50, _HUMAN),
         ),
     ),

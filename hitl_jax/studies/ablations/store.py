@@ -30,7 +30,9 @@ LATE = (
 """Measures of the end of training."""
 AREA = "test_area"
 """The area under the tests along training."""
-_ADDED = (*LATE, AREA)
+FALLS = "train_falls"
+"""Training episodes that end in a fall."""
+_ADDED = (*LATE, AREA, FALLS)
 """Files of earlier commits lack the last of these."""
 
 _MEASURES = (*(name for name in SUMMARY_COLUMNS if name not in ("method", "seed")), *_ADDED)

@@ -6,7 +6,7 @@ import numpy as np
 
 from hitl_jax.analysis import stats
 from hitl_jax.analysis.markdown import table
-from hitl_jax.studies.ablations.store import AREA, Row
+from hitl_jax.studies.ablations.store import AREA, FALLS, Row
 
 
 class Line(NamedTuple):
@@ -32,6 +32,7 @@ _MEASURES = (
     ("test_return_mean", "autonomous test return", 0),
     ("test_fall_rate", "falls in it", 2),
     (AREA, "area under the tests over the run's steps", 0),
+    (FALLS, "falls in training", 0),
     ("assisted_return_mean", "assisted test return", 0),
     ("assisted_takeover_rate", "steps under the human in it", 3),
     ("train_interventions", "interventions", 0),
@@ -53,7 +54,8 @@ after them. Every run has the same number of training episodes; a human who rese
 short, so steps differ. The area under the tests is an average over the steps that a run took, of a
 test every twentieth of training: longer runs have more of them late. A diverged run counts as
 falling at once from there on. "–": no seed has the measure; "(n = 7)": 7 have it. The last fifth of
-training is told of the episodes that the human watched."""
+training is told of the episodes that the human watched; falls in training are those of all
+episodes."""
 
 
 def to_markdown(title: str, budget: str, lines: list[Line]) -> str:
