@@ -78,8 +78,8 @@ _FORESIGHT: Changes = {
     "boundary_noise": 0.1,
     "boundary_temperature": 10.0,
 }
-"""The defaults, but `ddpg` and human steps as any other; `foresight_120` in results/README.md, but
-for the delay."""
+"""The defaults, but `ddpg`, human steps as any other, action noise that stays and tests of the last
+parameters; `foresight_120` in results/README.md, but for the delay."""
 
 
 _IMITATION: Changes = {"human_data": "imitation"}
