@@ -47,13 +47,14 @@ def main(options: AblationOptions) -> int:
         methods = [method for method in Method if any(run.method == method for run in missing)]
         code = 0
         try:
-            progress = Progress(methods, len(missing), options.episodes, 0)
-            make_runs(groups, options, store, progress)
+            episodes = sum(group.budget.episodes * len(group.missing) for group in groups)
+            progress = Progress(methods, len(missing), episodes, 0)
+            make_runs(groups, options.launch, store, progress)
         except Interrupted as stop:
             say(f"\nStopped. Finished runs are in {store.path}. {options.launch.goes_on}")
             code = stop.exit_code
         for name in names:
-            written = write_ablation(name, options, store)
+            written = write_ablation(name, options.budget(ABLATIONS[name]), store)
             for line in (*written.failures, *([written.table] if written.table else ())):
                 print(line)
         return code

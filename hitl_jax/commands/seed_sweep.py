@@ -34,7 +34,8 @@ def main(options: SweepOptions) -> int:
         keep_programs()
         num_runs = len(options.specs())
         done = num_runs - sweep.num_missing
-        progress = Progress(options.methods, num_runs, options.scale().episodes, done)
+        episodes = (num_runs - done) * options.scale().episodes
+        progress = Progress(options.methods, num_runs, episodes, done)
         try:
             lines = Sweep(sweep, progress).run()
         except Interrupted as stop:

@@ -30,7 +30,7 @@ class Progress:
         Args:
             methods: in the order of the table.
             num_runs: runs of the sweep, finished ones included.
-            episodes: training episodes of a run.
+            episodes: training episodes of all runs that are to be made.
             done: runs that were finished before.
         """
         self._methods = methods
@@ -96,8 +96,8 @@ class Progress:
         (then, episodes_then, steps_then), (now, *_) = self._history[0], self._history[-1]
         seconds = max(now - then, 1e-9)
         done = self._done + len(self._finished)
-        total = (self._num_runs - self._done) * self._episodes
         tests = f", {untested} to be tested" if untested else ""
+        total = self._episodes
         line = f"runs {done}/{self._num_runs}{tests}  episodes {episodes}/{total}  steps {steps:,}"
         if episodes in (episodes_then, total):
             return line

@@ -2,33 +2,15 @@
 
 import pathlib
 from collections.abc import Callable, Iterator
-from typing import Any
 
 from hitl_jax.analysis.figure_style import attempt, save
 from hitl_jax.config import Method
 from hitl_jax.studies.ablations.human_time import draw_human_time, measured
-from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.settings import ABLATIONS
 from hitl_jax.studies.ablations.store import Store
 from hitl_jax.studies.ablations.write import lines_of, write_ablation
 
 _COMPARED = (Method.HITL_FIX, Method.HITL_AC)
-_EARLY = {"seeds": 10, "episodes": 120}
-_CHOICE = {"seeds": 10, "first_seed": 100, "episodes": 160}
-BUDGETS: dict[str, dict[str, Any]] = {
-    "boundary-parts": _EARLY,
-    "boundary-start": _EARLY,
-    "human-data": _EARLY | {"first_seed": 100},
-    "exploration": _CHOICE,
-    "fading": _CHOICE | {"episodes": 400, "test_episodes": 100},
-    "initial-boundary": _CHOICE | {"test_episodes": 100},
-    "human-price": _CHOICE,
-    "loophole": {"seeds": 10},
-}
-"""Of ablations that are not run with the command's defaults: later their walkers hardly fall. One
-that chose a default has the seeds of tuning."""
-
-
 _BASE = "Settings change the options of `sweep --preset paper --learner td3-tqc`, the base.\n"
 
 
@@ -47,19 +29,16 @@ def ablations(folder: pathlib.Path, say: Callable[[str], None]) -> str:
     if not store.path.exists():
         return f"{title}\nNot run yet.\n"
     parts = [title, _BASE]
-    for name in ABLATIONS:
-        budget = BUDGETS.get(name, {})
-        text, failures = write_ablation(name, AblationOptions(name, **budget), store)
+    for name, ablation in ABLATIONS.items():
+        text, failures = write_ablation(name, ablation.budget, store)
         for failure in failures:
             say(failure)
         if text:
-            words = (f" --{option} {value}" for option, value in budget.items())
-            given = "".join(words).replace("_", "-")
-            command = f"    hitl-jax ablation {name}{given} --out results/ablations\n"
-            picture = f"![{ABLATIONS[name].title}](ablations/{name}.png)\n"
+            command = f"    hitl-jax ablation {name} --out results/ablations\n"
+            picture = f"![{ablation.title}](ablations/{name}.png)\n"
             parts += [text.replace("# ", "### ", 1), command, picture]
         else:
-            parts.append(f"### {ABLATIONS[name].title}\n\nNot run yet.\n")
+            parts.append(f"### {ablation.title}\n\nNot run yet.\n")
     return "\n".join([*parts, *_human_time(folder, store, say)])
 
 
@@ -69,10 +48,10 @@ _BY_START = "initial-boundary"
 
 def _human_time(folder: pathlib.Path, store: Store, say: Callable[[str], None]) -> Iterator[str]:
     """What the human's time brings with fixed and learned boundaries, once every run is there."""
-    options = AblationOptions(_BY_START, **BUDGETS[_BY_START])
-    lines = measured(lines_of(_BY_START, options, store))
-    whole = [line for line in lines if len(line.runs) == options.seeds]
-    if len(whole) == sum(len(setting.methods) for setting in ABLATIONS[_BY_START].settings):
+    ablation = ABLATIONS[_BY_START]
+    lines = measured(lines_of(ablation, ablation.budget, store))
+    whole = [line for line in lines if len(line.runs) == ablation.budget.seeds]
+    if len(whole) == sum(len(setting.methods) for setting in ablation.settings):
         curves = [[line for line in whole if line.method == method] for method in _COMPARED]
         drawn = attempt({_TIME: lambda: save(draw_human_time("τ_0", curves), folder / _TIME)})
         for failure in drawn.failures:

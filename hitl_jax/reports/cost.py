@@ -4,8 +4,6 @@ import pathlib
 
 from hitl_jax.analysis.markdown import table
 from hitl_jax.config import Method
-from hitl_jax.reports.ablations import BUDGETS
-from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.runs import runs_of, settings_of
 from hitl_jax.studies.ablations.settings import ABLATIONS
 from hitl_jax.studies.ablations.store import RunId, Store
@@ -34,20 +32,20 @@ def cost_of_choices(root: pathlib.Path) -> str:
         rows.append(("learner", _seeds(tuning.first_seed, tuning.seeds), count, steps))
     store = Store(root / "ablations" / "runs.csv")
     told: set[RunId] = set()
-    for name, budget in BUDGETS.items():
-        options = AblationOptions(name, **budget)
-        if options.first_seed < tuning.first_seed:
+    for name, ablation in ABLATIONS.items():
+        budget = ablation.budget
+        if budget.first_seed < tuning.first_seed:
             continue
         runs = {
             run
-            for setting, parts in settings_of(ABLATIONS[name])
-            for run in runs_of(setting, parts, options)
+            for setting, parts in settings_of(ablation)
+            for run in runs_of(setting, parts, budget)
             if run in store
         }
         new, told = runs - told, told | runs
         if new:
             steps = sum(store[run]["env_steps"] for run in new)
-            rows.append((name, _seeds(options.first_seed, options.seeds), len(new), steps))
+            rows.append((name, _seeds(budget.first_seed, budget.seeds), len(new), steps))
     lines = [["choice", "seeds", "runs", "million steps", "core hours"]]
     lines += [
         [name, seeds, str(count), f"{steps / 1e6:.1f}", f"{steps / _RATE / 3600:.1f}"]

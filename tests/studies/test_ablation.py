@@ -16,13 +16,12 @@ from hitl_jax.console.cli import run_main
 from hitl_jax.console.progress import Progress
 from hitl_jax.errors import ResultsError
 from hitl_jax.playback.load_trained import section_of
-from hitl_jax.reports.ablations import BUDGETS
 from hitl_jax.results import episode_tables
 from hitl_jax.results.atomic_files import locked
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.studies.ablations import runs
 from hitl_jax.studies.ablations.options import AblationOptions
-from hitl_jax.studies.ablations.settings import ABLATIONS, BASE, Ablation, Setting
+from hitl_jax.studies.ablations.settings import ABLATIONS, BASE, Ablation, Budget, Setting
 from hitl_jax.studies.ablations.store import AREA, FALLS, LATE, RunId, Store, digest
 from hitl_jax.studies.ablations.table import Line, to_markdown
 from hitl_jax.sweep import autosave, train_and_test
@@ -170,9 +169,9 @@ def test_a_run_that_diverged_is_marked():
 def test_settings_of_one_program_are_trained_together(tmp_path, monkeypatch):
     groups, batch = [], runs.batch_of
 
-    def nothing_of(group, options):
+    def nothing_of(group):
         groups.append(set(group.missing))
-        return batch(group._replace(missing={}), options)
+        return batch(group._replace(missing={}))
 
     monkeypatch.setattr(runs, "batch_of", nothing_of)
     assert _run(tmp_path, "all") == 0
@@ -192,6 +191,26 @@ def test_every_setting_can_be_made_and_has_a_label_of_its_own():
         for setting in one.settings:
             changed(BASE | setting.changes)
             assert len(setting.name) <= episode_tables._LONGEST_CELL
+
+
+def test_an_ablation_is_run_as_its_kept_table_was():
+    """But for what is asked for."""
+    fading = ABLATIONS["fading"]
+    assert AblationOptions("fading").budget(fading) == fading.budget == Budget(10, 100, 400, 100)
+    asked = AblationOptions("fading", first_seed=0, test_episodes=5).budget(fading)
+    assert asked == Budget(10, 0, 400, 5)
+
+
+def test_ablations_of_different_budgets_are_made_together(tmp_path, monkeypatch):
+    """Each run has the episodes of its own ablation."""
+    _add_tiny(monkeypatch)
+    longer = Ablation("Longer", _TINY.settings[:1], Budget(1, 3, 7, 2))
+    monkeypatch.setitem(ABLATIONS, "longer", longer)
+    groups = runs.missing_runs(
+        ["tiny", "longer"], AblationOptions("all", seeds=1), Store(tmp_path / "runs.csv")
+    )
+    specs = [(s.seed, s.episodes) for group in groups for s in runs.batch_of(group).specs]
+    assert sorted(specs) == [(3, 7)] * 2 + [(100, 160)] * 3
 
 
 def test_the_help_names_every_ablation():
@@ -243,9 +262,9 @@ def test_every_kept_run_is_shown_by_the_report():
     kept = Store(_KEPT).keys()
     shown = {
         run.key
-        for name, ablation in ABLATIONS.items()
+        for ablation in ABLATIONS.values()
         for setting, parts in runs.settings_of(ablation)
-        for run in runs.runs_of(setting, parts, AblationOptions(name, **BUDGETS.get(name, {})))
+        for run in runs.runs_of(setting, parts, ablation.budget)
     }
     assert not kept - shown
 

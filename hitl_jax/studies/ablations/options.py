@@ -7,6 +7,7 @@ import tyro
 
 from hitl_jax.choices.checks import require_seeds, require_whole
 from hitl_jax.evaluation.trials import MOST_TEST_EPISODES
+from hitl_jax.studies.ablations.settings import ABLATIONS, Ablation, Budget
 from hitl_jax.sweep.launchers import LaunchOptions
 
 
@@ -15,9 +16,10 @@ class AblationOptions:
     """Compare settings of one part of the team, each over several seeds.
 
     Attributes:
-        name: one of exploration, fading, feedback, loophole, boundary-parts, boundary-start,
-            initial-boundary, human-price, human-data; or `all`.
-        seeds: number of seeds for each setting.
+        name: one of exploration, fading, feedback, loophole, boundary-parts, initial-boundary,
+            human-price, human-data; or `all`.
+        seeds: number of seeds for each setting (default: as in the kept table, like the next
+            three).
         first_seed: the first of them.
         episodes: training episodes of a run.
         test_episodes: test episodes of a run, alone and again with the human.
@@ -27,26 +29,29 @@ class AblationOptions:
     """
 
     name: tyro.conf.Positional[str]
-    seeds: int = 5
-    first_seed: int = 0
-    episodes: int = 300
-    test_episodes: int = 20
+    seeds: int | None = None
+    first_seed: int | None = None
+    episodes: int | None = None
+    test_episodes: int | None = None
     out: str = "runs/ablations"
     launch: Annotated[LaunchOptions, tyro.conf.arg(name="")] = LaunchOptions()
 
-    @property
-    def budget(self) -> dict[str, int]:
-        """What must be equal for two runs to be compared."""
-        return {"episodes": self.episodes, "test_episodes": self.test_episodes}
+    def budget(self, ablation: Ablation) -> Budget:
+        """The ablation's, but for what was asked for."""
+        names = (field.name for field in dataclasses.fields(Budget))
+        asked = {name: value for name in names if (value := getattr(self, name)) is not None}
+        return dataclasses.replace(ablation.budget, **asked)
 
     def checked(self) -> "AblationOptions":
-        """Checks all but the name; returns itself.
+        """Checks every option but the name, which must be one of the above; returns itself.
 
         Raises:
             InvalidValue: one line with the name, the value and what is allowed.
         """
-        require_seeds(self.first_seed, self.seeds)
-        require_whole("episodes", self.episodes, at_least=1)
-        require_whole("test_episodes", self.test_episodes, 1, MOST_TEST_EPISODES)
+        names = list(ABLATIONS) if self.name == "all" else [self.name]
+        for budget in (self.budget(ABLATIONS[name]) for name in names):
+            require_seeds(budget.first_seed, budget.seeds)
+            require_whole("episodes", budget.episodes, at_least=1)
+            require_whole("test_episodes", budget.test_episodes, 1, MOST_TEST_EPISODES)
         self.launch.checked()
         return self

@@ -20,10 +20,11 @@ from hitl_jax.results.folder import Run
 from hitl_jax.results.provenance import short_commit
 from hitl_jax.studies.ablations.late_training import late_training
 from hitl_jax.studies.ablations.options import AblationOptions
-from hitl_jax.studies.ablations.settings import ABLATIONS, BASE, Ablation, Setting
+from hitl_jax.studies.ablations.settings import ABLATIONS, BASE, Ablation, Budget, Setting
 from hitl_jax.studies.ablations.store import AREA, FALLS, Row, RunId, Store, digest
 from hitl_jax.sweep.autosave import SAVE_SECONDS
 from hitl_jax.sweep.changes import Parts, changed
+from hitl_jax.sweep.launchers import LaunchOptions
 from hitl_jax.sweep.run_sweep import Display
 from hitl_jax.sweep.train_and_test import Batch, Tested, Walkers, make_team
 from hitl_jax.training.run_spec import RunSpec
@@ -38,11 +39,13 @@ class Group(NamedTuple):
     Attributes:
         name: of the group among others; its saves are kept by it.
         parts: the options of one of them.
+        budget: of each of them.
         missing: those that the store lacks, with their options.
     """
 
     name: str
     parts: Parts
+    budget: Budget
     missing: dict[RunId, Parts]
 
 
@@ -51,7 +54,7 @@ def missing_runs(names: Sequence[str], options: AblationOptions, store: Store) -
 
     Args:
         names: some of `ABLATIONS`.
-        options: seeds and budget.
+        options: what was asked for of seeds and budget.
         store: the runs that are done.
 
     Returns:
@@ -62,10 +65,11 @@ def missing_runs(names: Sequence[str], options: AblationOptions, store: Store) -
     """
     groups: dict[str, Group] = {}
     for name in names:
+        budget = options.budget(ABLATIONS[name])
         for setting, parts in settings_of(ABLATIONS[name]):
-            program = digest(parts._replace(hyper=Hyper()), {})
-            group = groups.setdefault(program, Group(f"under_way-{program}", parts, {}))
-            ids = runs_of(setting, parts, options)
+            program = digest(parts._replace(hyper=Hyper()), budget.of_a_run)
+            group = groups.setdefault(program, Group(f"under_way-{program}", parts, budget, {}))
+            ids = runs_of(setting, parts, budget)
             group.missing.update({run: parts for run in ids if run not in store})
     if any(group.missing for group in groups.values()):
         require_backend(_BACKEND)
@@ -73,13 +77,13 @@ def missing_runs(names: Sequence[str], options: AblationOptions, store: Store) -
 
 
 def make_runs(
-    groups: Sequence[Group], options: AblationOptions, store: Store, display: Display
+    groups: Sequence[Group], launch: LaunchOptions, store: Store, display: Display
 ) -> None:
     """Trains and tests runs, those of one compiled program together, and adds them to the store.
 
     Args:
         groups: of `missing_runs`.
-        options: seeds and budget, and where runs are made.
+        launch: where runs are made.
         store: each run is written as it ends.
         display: what a person sees.
 
@@ -88,8 +92,8 @@ def make_runs(
         ResultsError: if the disk refuses.
     """
     missing = {run.key: run for group in groups for run in group.missing}
-    batches = [batch_of(group, options) for group in groups]
-    launcher = options.launch.make(store.path.parent, SAVE_SECONDS, store.keys, display.say)
+    batches = [batch_of(group) for group in groups]
+    launcher = launch.make(store.path.parent, SAVE_SECONDS, store.keys, display.say)
     with display, contextlib.closing(launcher.make(batches, display.show)) as made:
         for tested in made:
             run = missing[tested.key]
@@ -102,21 +106,21 @@ def make_runs(
             )
 
 
-def batch_of(group: Group, options: AblationOptions) -> Batch:
+def batch_of(group: Group) -> Batch:
     """Runs of one compiled program, seed after seed: early tables are fair."""
     specs = [
         RunSpec(
             Method(run.method),
             run.seed,
             hyper_for(Method(run.method), parts.hyper),
-            options.episodes,
-            milestones(options.episodes),
+            group.budget.episodes,
+            milestones(group.budget.episodes),
             setting=run.digest,
         )
         for run, parts in sorted(group.missing.items(), key=lambda item: item[0].seed)
     ]
     agent = make_team(group.parts.agent, group.parts.human_policy)
-    walkers = Walkers(_BACKEND, _SLOTS, None, options.test_episodes)
+    walkers = Walkers(_BACKEND, _SLOTS, None, group.budget.test_episodes)
     return Batch(group.name, agent, specs, group.parts.loop, walkers)
 
 
@@ -126,10 +130,9 @@ def settings_of(ablation: Ablation) -> Iterator[tuple[Setting, Parts]]:
         yield setting, changed(BASE | setting.changes)
 
 
-def runs_of(setting: Setting, parts: Parts, options: AblationOptions) -> list[RunId]:
+def runs_of(setting: Setting, parts: Parts, budget: Budget) -> list[RunId]:
     """The runs of a setting: of each method all seeds."""
-    mark = digest(parts, options.budget)
-    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    mark, seeds = digest(parts, budget.of_a_run), budget.all_seeds
     return [RunId(setting.name, m, seed, mark) for m in setting.methods for seed in seeds]
 
 

@@ -36,18 +36,47 @@ class Setting:
 
 
 @dataclasses.dataclass(frozen=True)
+class Budget:
+    """How much an ablation is run.
+
+    Attributes:
+        seeds: number of seeds for each setting and method.
+        first_seed: the first of them; one that chooses a default has those of tuning.
+        episodes: training episodes of a run.
+        test_episodes: test episodes of a run, alone and again with the human.
+    """
+
+    seeds: int = 10
+    first_seed: int = 100
+    episodes: int = 160
+    test_episodes: int = 20
+
+    @property
+    def of_a_run(self) -> dict[str, int]:
+        """What must be equal for two runs to be compared."""
+        return {"episodes": self.episodes, "test_episodes": self.test_episodes}
+
+    @property
+    def all_seeds(self) -> range:
+        """Of each setting and method."""
+        return range(self.first_seed, self.first_seed + self.seeds)
+
+
+@dataclasses.dataclass(frozen=True)
 class Ablation:
     """One table.
 
     Attributes:
         title: what is taken apart.
         settings: its rows.
+        budget: of the kept table.
         is_number: whether the settings are values of one number, with which their labels begin;
             the figure then has curves over it.
     """
 
     title: str
     settings: tuple[Setting, ...]
+    budget: Budget = Budget()
     is_number: bool = False
 
 
@@ -117,6 +146,7 @@ ABLATIONS: dict[str, Ablation] = {
                 "to 0.1", _STEADY | {"noise_steps": 300_000, "final_noise": 0.1}, tuple(Method)
             ),
         ),
+        Budget(episodes=400, test_episodes=100),
     ),
     "feedback": Ablation(
         "The human's feedback r(s, a^h), where they reset",
@@ -126,6 +156,7 @@ ABLATIONS: dict[str, Ablation] = {
             Setting("-20 (base)"),
             Setting("-100", {"feedback": -100.0}),
         ),
+        Budget(seeds=5, first_seed=0, episodes=300),
     ),
     "loophole": Ablation(
         "Where being reset pays: intervention, feedback, and whether a reset ends the bootstrap",
@@ -148,6 +179,7 @@ ABLATIONS: dict[str, Ablation] = {
             ),
             Setting("the default", _DEFAULT, _FIX),
         ),
+        Budget(first_seed=0, episodes=300),
     ),
     "boundary-parts": Ablation(
         "What the boundary learner is made of",
@@ -160,14 +192,7 @@ ABLATIONS: dict[str, Ablation] = {
                 _FORESIGHT | {"boundary_learner": "printed", "boundary_temperature": 0.0},
             ),
         ),
-    ),
-    "boundary-start": Ablation(
-        "τ_0 of an executed boundary [rad]",
-        tuple(
-            Setting(f"{start:g}", _FORESIGHT | {"initial_boundary": start})
-            for start in (0.1, 0.4, 0.7, 1.0, 1.4)
-        ),
-        is_number=True,
+        Budget(first_seed=0, episodes=120),
     ),
     "initial-boundary": Ablation(
         "A fixed boundary, and one that is learned from there: τ_0 [rad]",
@@ -176,7 +201,10 @@ ABLATIONS: dict[str, Ablation] = {
             Setting("0.1", _DEFAULT | {"initial_boundary": 0.1}, _HUMAN),
             Setting("0.3", _DEFAULT | {"initial_boundary": 0.3}, _HUMAN),
             Setting("0.7 (default)", _DEFAULT, _HUMAN),
+            Setting("1", _DEFAULT | {"initial_boundary": 1.0}),
+            Setting("1.4", _DEFAULT | {"initial_boundary": 1.4}),
         ),
+        Budget(test_episodes=100),
         is_number=True,
     ),
     "human-price": Ablation(
@@ -195,5 +223,6 @@ ABLATIONS: dict[str, Ablation] = {
             Setting("imitation, weight 10", _FASTEST | _IMITATION, _HUMAN),
             Setting("weight 50", _FASTEST | _IMITATION | _WEIGHT_50, _HUMAN),
         ),
+        Budget(episodes=120),
     ),
 }
