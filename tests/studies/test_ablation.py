@@ -314,7 +314,7 @@ def test_a_header_that_lacks_others_is_refused(copied, lacking):
 def test_a_damaged_file_is_refused(copied, capsys):
     path = copied / "runs.csv"
     whole = path.read_text()
-    for damaged in (whole[:-30], whole.replace("hitl-ac,0", "hitl-ac,zero")):
+    for damaged in (whole[:-30], whole.replace("hitl-ac,100", "hitl-ac,zero")):
         path.write_text(damaged)
         assert _run(copied, "tiny-too") == 2
         said = capsys.readouterr().err
