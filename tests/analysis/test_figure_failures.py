@@ -15,7 +15,6 @@ from hitl_jax.errors import ResultsError
 from hitl_jax.results import atomic_files
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.studies.ablations import figure
-from hitl_jax.studies.ablations.options import AblationOptions
 from hitl_jax.studies.ablations.runs import runs_of, settings_of
 from hitl_jax.studies.ablations.settings import ABLATIONS
 from hitl_jax.studies.ablations.store import _MEASURES, Store
@@ -74,12 +73,12 @@ def test_a_full_disk_is_the_folders_error(plain, monkeypatch):
 def test_the_other_drawings_cost_nothing_either(tmp_path, monkeypatch):
     """Of an ablation, of the benchmark, of alarms."""
     monkeypatch.setattr(figure, "draw_rows", _fails)
-    options = AblationOptions(name="fading", seeds=1)
+    budget = ABLATIONS["fading"].budget
     store = Store(tmp_path / "runs.csv")
     setting, parts = next(settings_of(ABLATIONS["fading"]))
-    [run, *_] = runs_of(setting, parts, options)
+    [run, *_] = runs_of(setting, parts, budget)
     store.add(run, dict.fromkeys(_MEASURES, 1.0) | {"commit": "abc"})
-    written = write_ablation("fading", options, store)
+    written = write_ablation("fading", budget, store)
     assert written.table
     assert written.failures == ["fading: could not be drawn: RuntimeError: there is no font"]
     assert (tmp_path / "fading.md").exists()
