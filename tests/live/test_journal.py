@@ -12,8 +12,6 @@ from hitl_jax.live.labels import judged
 from hitl_jax.live.session import Session
 from hitl_jax.training.run_spec import LoopConfig
 
-pytestmark = pytest.mark.usefixtures("compiled_fully")
-
 
 def _act_upon(noted, session, upto, rng, share=0.2):
     """Plays a session and sends random messages of a person."""

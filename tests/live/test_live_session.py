@@ -16,8 +16,6 @@ from hitl_jax.live.session import Session
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training.run_spec import episode_seed
 
-pytestmark = pytest.mark.usefixtures("compiled_fully")
-
 
 @pytest.fixture(scope="module")
 def silent():

@@ -17,8 +17,6 @@ from hitl_jax.training import rollout
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec
 
-pytestmark = pytest.mark.usefixtures("compiled_fully")
-
 _CONFIG = paper_config(
     learner="ddpg",
     hidden_sizes=(8,),
@@ -93,6 +91,7 @@ def _play(monkeypatch, every):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("compiled_fully")
 def test_a_run_can_be_asked_at_any_time():
     hyper = hyper_for(Method.SRL, paper_hyper(warmup_steps=16))
     agent = agents.make_agent(paper_config(learner="td3", hidden_sizes=(8,), batch_size=8))
@@ -111,6 +110,7 @@ def test_a_run_can_be_asked_at_any_time():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("compiled_fully")
 def test_to_look_changes_nothing(monkeypatch):
     often, never = _play(monkeypatch, 8), _play(monkeypatch, 10**9)
     for one, other in zip(often, never, strict=True):

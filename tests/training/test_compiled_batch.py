@@ -17,7 +17,7 @@ from hitl_jax.xla.devices import cpu_device
 from hitl_jax.xla.pytree_words import unpack
 from hitl_jax.xla.threefry import make_key
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("compiled_fully")]
+pytestmark = pytest.mark.slow
 
 _AGENT, _ROUNDED = (
     agents.make_agent(
@@ -117,15 +117,6 @@ def test_a_run_of_several_pieces_equals_the_run_alone(plainly, monkeypatch):
     _forget_programs()
 
 
-@pytest.mark.parametrize(("tile", "agent"), [(1, _AGENT), (3, _AGENT), (1, _ROUNDED)])
-def test_neighbours_do_not_change_a_bit(tile, agent):
-    """Of two slots or more: see `num_slots`."""
-    few = _learn([4, 1], tile, agent=agent)
-    many = _learn([5, 4, 3, 2, 1, 0], tile, agent=agent)
-    for run, train in few.items():
-        jax.tree.map(np.testing.assert_array_equal, train, many[run])
-
-
 def test_order_and_devices_do_not_matter(plainly):
     for learned in (_learn([3, 0, 5, 1, 4, 2], 3), _learn([2, 4, 1], 1, device=1)):
         for run, learner in learned.items():
@@ -141,6 +132,31 @@ def test_a_run_that_is_not_listed_does_not_change(plainly):
         _same(learned[run], jax.device_get((fresh.learner, fresh.boundary)))
 
 
+def test_seeds_are_words_of_32_bits():
+    many = {
+        tuple(jax.random.key_data(batch_arrays.run_keys(s, 1)[0]).tolist())
+        for s in (0, 2**31, 2**32 - 1)
+    }
+    assert len(many) == 3
+
+
+def test_keys_come_from_method_and_seed():
+    keys = [batch_arrays.run_keys(seed, method) for seed in range(3) for method in range(3)]
+    data = {tuple(jax.random.key_data(key).tolist()) for three in keys for key in three}
+    assert len(data) == 27
+
+
+@pytest.mark.usefixtures("compiled_fully")
+@pytest.mark.parametrize(("tile", "agent"), [(1, _AGENT), (3, _AGENT), (1, _ROUNDED)])
+def test_neighbours_do_not_change_a_bit(tile, agent):
+    """Of two slots or more: see `num_slots`."""
+    few = _learn([4, 1], tile, agent=agent)
+    many = _learn([5, 4, 3, 2, 1, 0], tile, agent=agent)
+    for run, train in few.items():
+        jax.tree.map(np.testing.assert_array_equal, train, many[run])
+
+
+@pytest.mark.usefixtures("compiled_fully")
 @pytest.mark.parametrize("tile", [1, 2])
 def test_seats_are_updated_in_place(tile):
     seats = batch_arrays.empty_learner(_AGENT, 6, 64, cpu_device("learner 0"))
@@ -154,6 +170,7 @@ def test_seats_are_updated_in_place(tile):
     assert pointers[0] == pointers[1]
 
 
+@pytest.mark.usefixtures("compiled_fully")
 def test_a_run_is_given_back_without_a_copy_of_all():
     """Of a network whose leaves are written apart: XLA copies where it cannot tell the order."""
     agent = agents.make_agent(paper_config(learner="td3", layer_norm=False, batch_size=8))
@@ -167,20 +184,6 @@ def test_a_run_is_given_back_without_a_copy_of_all():
     words = f"u32[{seats.train.shape[0]},{seats.train.shape[1]}]"
     assert f"{words}{{1,0}} dynamic-update-slice(" in program
     assert f"{words}{{1,0}} copy(" not in program
-
-
-def test_seeds_are_words_of_32_bits():
-    many = {
-        tuple(jax.random.key_data(batch_arrays.run_keys(s, 1)[0]).tolist())
-        for s in (0, 2**31, 2**32 - 1)
-    }
-    assert len(many) == 3
-
-
-def test_keys_come_from_method_and_seed():
-    keys = [batch_arrays.run_keys(seed, method) for seed in range(3) for method in range(3)]
-    data = {tuple(jax.random.key_data(key).tolist()) for three in keys for key in three}
-    assert len(data) == 27
 
 
 def _act(runs, agent):
@@ -204,6 +207,7 @@ def _act(runs, agent):
     return told
 
 
+@pytest.mark.usefixtures("compiled_fully")
 @pytest.mark.parametrize("agent", [_AGENT, _WITH_A_TRAINED_HUMAN], ids=["plain", "trained human"])
 def test_who_acts_beside_a_run_does_not_change_a_bit(agent):
     """Nor how many do, nor its place among them."""

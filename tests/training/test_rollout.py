@@ -17,8 +17,6 @@ from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec, episode_seed, num_slots
 from hitl_jax.xla.devices import learning_devices
 
-pytestmark = pytest.mark.usefixtures("compiled_fully")
-
 _CONFIG = paper_config(
     learner="td3", hidden_sizes=(16, 16), batch_size=16, n_step=2, tested_actor="average"
 )
@@ -49,73 +47,11 @@ def _assert_same(one, other):
     assert one.boundary == other.boundary
 
 
-@pytest.fixture(scope="module")
-def together():
-    specs = [_spec(method, seed) for seed in range(2) for method in Method]
-    return _play(specs, slots=6)
-
-
-def test_a_run_equals_the_same_run_alone(together):
-    for method in Method:
-        alone = _play([_spec(method, 1)], slots=2)
-        _assert_same(alone[method, 1], together[method, 1])
-
-
-@pytest.mark.slow
-def test_order_queue_and_neighbours_do_not_matter(together):
-    # Fewer slots than runs, another order, and neighbours of other hyperparameters.
-    specs = [_spec(method, seed) for method in reversed(Method) for seed in (1, 0)]
-    specs.insert(1, _spec(Method.SRL, 7, exploration_noise=0.5))
-    queued = _play(specs, slots=4)
-    for key, run in together.items():
-        _assert_same(queued[key], run)
-
-
-def test_each_run_has_its_own_weight_of_the_reward(together):
-    """Beside one of another weight, of the same seed; the feedback is given at each step."""
-    specs = [
-        _spec(Method.HITL_FIX, seed, reward_weight=weight) for seed, weight in ((0, 1), (1, 0))
-    ]
-    played = _play(specs, slots=2)
-    _assert_same(played[Method.HITL_FIX, 0], together[Method.HITL_FIX, 0])
-    rows = played[Method.HITL_FIX, 1].run.episodes
-    assert any(row["return"] for row in rows)
-    assert any(row["shaped_return"] for row in rows)
-    for row in rows:
-        assert row["shaped_return"] == pytest.approx(_HYPER.feedback * row["interventions"])
-
-
-def test_a_snapshot_is_what_a_shorter_run_ends_with(together):
-    kept = together[Method.HITL_AC, 1].run.snapshots
-    assert [snapshot.episode for snapshot in kept] == [3, 7]
-    spec = dataclasses.replace(_spec(Method.HITL_AC, 1), snapshots=())
-    short = [dataclasses.replace(spec, episodes=n) for n in (3, 7)]
-    rollout = Rollout(make_agent(_CONFIG), short, ToyPool(2), _LOOP)
-    ended = [run for done in rollout for run in done]
-    for snapshot, run in zip(kept, ended, strict=True):
-        jax.tree.map(np.testing.assert_array_equal, snapshot.behavior, behavior(run.kept))
-        assert snapshot.boundary == run.boundary
-
-
-def test_the_average_is_kept_and_the_last_acts(together):
-    for run in together.values():
-        learner, average = run.train.learner, run.train.average.params
-        assert run.kept.learner.actor is average
-        assert run.kept.learner.critic is learner.critic
-        pairs = zip(*map(jax.tree.leaves, (average, learner.actor)), strict=True)
-        assert any((average != last).any() for average, last in pairs)
-
-
 def test_snapshots_that_fall_due_in_one_chunk_are_all_kept():
     spec = dataclasses.replace(_spec(Method.HITL_AC, 1), snapshots=(1, 2, 3, 4))
     loop = LoopConfig(capacity=512, chunk=128, updates_per_step=0.0)
     [run] = _play([spec], slots=2, loop=loop).values()
     assert [snapshot.episode for snapshot in run.run.snapshots] == [1, 2, 3, 4]
-
-
-def test_methods_and_seeds_differ(together):
-    returns = {key: [row["return"] for row in run.run.episodes] for key, run in together.items()}
-    assert len({tuple(values) for values in returns.values()}) == len(returns)
 
 
 def test_nothing_is_compiled_again():
@@ -216,6 +152,69 @@ def test_there_are_few_numbers_of_slots():
     assert [num_slots(runs, 32) for runs in (1, 2, 3, 10, 30, 40)] == [4, 4, 4, 16, 32, 32]
     assert num_slots(30, 30) == 30
     assert num_slots(5, 1) == 4
+
+
+@pytest.fixture(scope="module")
+def together(compiled_fully):
+    """Runs side by side; who asks for them is compiled fully, as all tests from here on."""
+    specs = [_spec(method, seed) for seed in range(2) for method in Method]
+    return _play(specs, slots=6)
+
+
+def test_a_run_equals_the_same_run_alone(together):
+    for method in Method:
+        alone = _play([_spec(method, 1)], slots=2)
+        _assert_same(alone[method, 1], together[method, 1])
+
+
+@pytest.mark.slow
+def test_order_queue_and_neighbours_do_not_matter(together):
+    # Fewer slots than runs, another order, and neighbours of other hyperparameters.
+    specs = [_spec(method, seed) for method in reversed(Method) for seed in (1, 0)]
+    specs.insert(1, _spec(Method.SRL, 7, exploration_noise=0.5))
+    queued = _play(specs, slots=4)
+    for key, run in together.items():
+        _assert_same(queued[key], run)
+
+
+def test_each_run_has_its_own_weight_of_the_reward(together):
+    """Beside one of another weight, of the same seed; the feedback is given at each step."""
+    specs = [
+        _spec(Method.HITL_FIX, seed, reward_weight=weight) for seed, weight in ((0, 1), (1, 0))
+    ]
+    played = _play(specs, slots=2)
+    _assert_same(played[Method.HITL_FIX, 0], together[Method.HITL_FIX, 0])
+    rows = played[Method.HITL_FIX, 1].run.episodes
+    assert any(row["return"] for row in rows)
+    assert any(row["shaped_return"] for row in rows)
+    for row in rows:
+        assert row["shaped_return"] == pytest.approx(_HYPER.feedback * row["interventions"])
+
+
+def test_a_snapshot_is_what_a_shorter_run_ends_with(together):
+    kept = together[Method.HITL_AC, 1].run.snapshots
+    assert [snapshot.episode for snapshot in kept] == [3, 7]
+    spec = dataclasses.replace(_spec(Method.HITL_AC, 1), snapshots=())
+    short = [dataclasses.replace(spec, episodes=n) for n in (3, 7)]
+    rollout = Rollout(make_agent(_CONFIG), short, ToyPool(2), _LOOP)
+    ended = [run for done in rollout for run in done]
+    for snapshot, run in zip(kept, ended, strict=True):
+        jax.tree.map(np.testing.assert_array_equal, snapshot.behavior, behavior(run.kept))
+        assert snapshot.boundary == run.boundary
+
+
+def test_the_average_is_kept_and_the_last_acts(together):
+    for run in together.values():
+        learner, average = run.train.learner, run.train.average.params
+        assert run.kept.learner.actor is average
+        assert run.kept.learner.critic is learner.critic
+        pairs = zip(*map(jax.tree.leaves, (average, learner.actor)), strict=True)
+        assert any((average != last).any() for average, last in pairs)
+
+
+def test_methods_and_seeds_differ(together):
+    returns = {key: [row["return"] for row in run.run.episodes] for key, run in together.items()}
+    assert len({tuple(values) for values in returns.values()}) == len(returns)
 
 
 class BrokenPool(ToyPool):

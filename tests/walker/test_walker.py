@@ -21,8 +21,6 @@ from hitl_jax.walker.terrain import Terrain
 from hitl_jax.xla.devices import walker_devices
 from hitl_jax.xla.threefry import make_key
 
-pytestmark = pytest.mark.usefixtures("compiled_fully")
-
 LANES = 16
 """Walkers of the one program: the least number of a device."""
 
@@ -162,27 +160,6 @@ def test_the_goal_terminates_and_the_limit_truncates():
     assert np.asarray(after.truncated)[:4].tolist() == [False, True, False, False]
 
 
-def test_a_step_depends_on_neither_lane_nor_other_walkers():
-    rng, rows = np.random.default_rng(0), []
-    walkers = stacked([walker.new_walker(make_key(seed)) for seed in range(LANES)])
-    for count in range(60):
-        actions = rng.uniform(-1, 1, (LANES, 4)).astype(np.float32)
-        if count % 2:  # One walker after the other, in the air and on the ground.
-            lane = count // 2 % LANES
-            rows.append(
-                (jax.tree.map(lambda leaf, at=lane: np.array(leaf[at]), walkers), actions[lane])
-            )
-        walkers, _ = step(walkers, actions)
-    order = rng.permutation(len(rows))
-    found = {}
-    for begin in (0, 5, 9):
-        some = order[begin : begin + LANES]
-        _, after = step(stacked([rows[i][0] for i in some]), np.stack([rows[i][1] for i in some]))
-        for lane, i in enumerate(some):
-            seen = np.asarray(after.observation[lane])
-            np.testing.assert_array_equal(found.setdefault(i, seen), seen)
-
-
 def test_terrain_is_drawn_as_gymnasium_draws_it():
     keys = jax.random.split(jax.random.key(0), 400)
     ours = np.asarray(jax.jit(jax.vmap(terrain.draw_plain))(keys))
@@ -210,23 +187,6 @@ def test_the_pools_episodes_follow_from_their_seeds():
         np.testing.assert_array_equal(third.observation[2], first.observation[0])
         again = pool.step(np.full(3, Command.STEP), action[[0, 1, 0]], seeds)
         np.testing.assert_array_equal(again.observation[2], second.observation[0])
-
-
-@pytest.mark.slow
-def test_many_walkers_are_stepped_in_blocks(monkeypatch):
-    def stepped(num):
-        seeds = np.arange(num, dtype=np.uint32)
-        with make_pool("jax", num, 1) as pool:
-            actions = np.zeros((num, 4), np.float32)
-            pool.step(np.full(num, Command.RESET), actions, seeds)
-            return pool.step(np.full(num, Command.STEP), actions + 1, seeds).observation
-
-    few = stepped(3)
-    # Many more than the eight that `apply_to_subset` works on at a time.
-    monkeypatch.setattr(jax_pool, "MAX_LANES", 9 * LANES)
-    many = stepped(18 * LANES)
-    np.testing.assert_array_equal(many[:3], few)
-    assert len(np.unique(many, axis=0)) == len(many)
 
 
 def test_new_walkers_differ_by_key():
@@ -311,3 +271,44 @@ def test_impulses_follow_their_edge_and_point_to_another_slot():
         np.testing.assert_array_equal(after.friction[1][:, part, 0], expected / 10)
     stands = contacts.ground_contact_after(jnp.ones((4, 1), bool), before, after)
     assert not stands.any()  # Contact 10 ended and 11 began: the left one, 10, decides.
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("compiled_fully")
+def test_a_step_depends_on_neither_lane_nor_other_walkers():
+    rng, rows = np.random.default_rng(0), []
+    walkers = stacked([walker.new_walker(make_key(seed)) for seed in range(LANES)])
+    for count in range(60):
+        actions = rng.uniform(-1, 1, (LANES, 4)).astype(np.float32)
+        if count % 2:  # One walker after the other, in the air and on the ground.
+            lane = count // 2 % LANES
+            rows.append(
+                (jax.tree.map(lambda leaf, at=lane: np.array(leaf[at]), walkers), actions[lane])
+            )
+        walkers, _ = step(walkers, actions)
+    order = rng.permutation(len(rows))
+    found = {}
+    for begin in (0, 5, 9):
+        some = order[begin : begin + LANES]
+        _, after = step(stacked([rows[i][0] for i in some]), np.stack([rows[i][1] for i in some]))
+        for lane, i in enumerate(some):
+            seen = np.asarray(after.observation[lane])
+            np.testing.assert_array_equal(found.setdefault(i, seen), seen)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("compiled_fully")
+def test_many_walkers_are_stepped_in_blocks(monkeypatch):
+    def stepped(num):
+        seeds = np.arange(num, dtype=np.uint32)
+        with make_pool("jax", num, 1) as pool:
+            actions = np.zeros((num, 4), np.float32)
+            pool.step(np.full(num, Command.RESET), actions, seeds)
+            return pool.step(np.full(num, Command.STEP), actions + 1, seeds).observation
+
+    few = stepped(3)
+    # Many more than the eight that `apply_to_subset` works on at a time.
+    monkeypatch.setattr(jax_pool, "MAX_LANES", 9 * LANES)
+    many = stepped(18 * LANES)
+    np.testing.assert_array_equal(many[:3], few)
+    assert len(np.unique(many, axis=0)) == len(many)
