@@ -35,9 +35,10 @@ have_loops_in_one_kernel()  # As in all commands.
 _LONGEST = (
     "test_many_machines",
     "test_seed_sweep",
+    "test_interrupted_runs",
+    "test_program_sizes",
     "test_brax",
     "test_hardcore",
-    "test_interrupted_runs",
     "test_walker",
     "test_rollout",
     "test_ablation",
@@ -45,6 +46,9 @@ _LONGEST = (
     "test_agent",
     "test_compiled_batch",
     "test_extending",
+    "test_device_examiner",
+    "test_margin",
+    "test_kernel",
 )
 
 
@@ -53,6 +57,7 @@ def compiled_fully():
     """The programs that users run, here and in processes that are started.
 
     For tests of what depends on how numbers are rounded: of equality to the last bit.
+    They stand last in their file, since all tests that follow there are compiled so too.
     """
     import jax
 

@@ -52,6 +52,7 @@ def test_settings_of_the_users_process_change_no_figure(plain, theirs):
     assert _pictures(plain) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("environment", _ENVIRONMENTS)
 def test_settings_of_the_users_machine_change_no_figure(plain, environment, tmp_path):
     before = _pictures(plain)

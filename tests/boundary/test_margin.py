@@ -254,6 +254,7 @@ def test_what_a_run_before_has_left_does_not_matter():
     assert all(not np.asarray(leaf).any() for leaf in jax.tree.leaves(batch))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("left_out", margin.MARGIN_PARTS)
 def test_each_part_can_be_left_out(left_out):
     parts = tuple(part for part in margin.MARGIN_PARTS if part != left_out)

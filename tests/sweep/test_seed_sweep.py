@@ -58,6 +58,12 @@ def _start(*options):
             sweep.kill()
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Sweeps whose figures nobody looks at."""
+    monkeypatch.setattr(run_sweep, "draw", lambda _: [])
+
+
 def _run(out, *options):
     return run_main("sweep", main, [*_SMALL, *options, "--out", str(out)])
 
@@ -162,6 +168,7 @@ def test_every_episode_that_is_kept_can_be_had_again(swept, tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_versions_that_differ_are_named_first_and_once(swept, tmp_path, capsys):
     other = tmp_path / "other"
     shutil.copytree(swept, other)
@@ -230,6 +237,7 @@ def test_an_episode_that_there_is_not(swept, options, message, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_second_start_skips_what_is_done_and_adds_seeds(swept, capsys):
     before = (swept / "runs/srl/seed-0000/run.json").stat().st_mtime_ns
     assert _run(swept, "--methods", "srl", "--first-seed", "1") == 0
@@ -245,7 +253,8 @@ def test_a_second_start_skips_what_is_done_and_adds_seeds(swept, capsys):
 
 
 @pytest.mark.slow
-def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys, monkeypatch):
+@pytest.mark.usefixtures("undrawn")
+def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys):
     show, evaluate, chunks = Sweep._show, HostExaminer.evaluate, itertools.count(1)
 
     def stop_in_training(sweep, running):
@@ -263,7 +272,6 @@ def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys,
             assert killed.poll() is None, killed.communicate()[1]
             time.sleep(0.05)
         killed.kill()
-    monkeypatch.setattr(run_sweep, "draw", lambda _: [])
     for owner, name, stop, code in (
         (Sweep, "_show", stop_in_training, 143),
         (HostExaminer, "evaluate", stop_in_a_test, 130),
@@ -284,6 +292,7 @@ def test_an_interrupted_sweep_goes_on_and_ends_the_same(swept, tmp_path, capsys,
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_does_not_depend_on_workers_and_company(swept, tmp_path):
     assert _run(tmp_path / "alone", "--methods", "hitl-fix", "--workers", "1") == 0
     key = RunKey("hitl-fix", 0)

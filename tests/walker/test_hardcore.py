@@ -147,6 +147,7 @@ def _stump(env):
     return next(box for box in _boxes(env) if np.ptp(box[:, 1]) < 1)
 
 
+@pytest.mark.slow
 def test_lidar_sees_obstacles(official):
     corners = _stump(official)
     walkers, expected = [], []
