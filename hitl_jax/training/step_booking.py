@@ -208,7 +208,7 @@ def episode_of(steps: np.ndarray, layout: Layout, config: AgentConfig, hyper: Ru
     so_far = np.logical_or.accumulate(control)
     feedback, weight = float(hyper.feedback), float(hyper.reward_weight)
     given = config.feedback_schedule, flags.began, ended, so_far, weight
-    shaped = shaped_reward(reward, control, feedback, *given)
+    shaped = shaped_reward(reward, control, feedback, *given) + 0.0  # −0 is written as 0.
     known = hyper.has_arbiter > 0
     return Episode(
         reward=reward,

@@ -112,6 +112,20 @@ def test_an_intervention_that_is_taken_back_costs_nothing():
     assert not any(session.flag("dangerous", n) for n in range(48))
 
 
+def test_of_weight_0_only_the_feedback_is_learned_from():
+    session = Session(setup_of(hyper=HYPER.replace(reward_weight=0.0)))
+    play(session, 20)
+    session.person.take(18)
+    session.person.move([1, -1, 0.5, 0])
+    play(session, 30)
+    session.person.let_go(29)
+    play(session, 48)
+    rewards = stored(session)[:48, session.setup.agent.layout.reward]
+    assert (rewards[20:30] == HYPER.feedback).all()
+    assert not rewards[:20].any()
+    assert not rewards[30:].any()
+
+
 def test_the_arbiter_hands_over_where_alarm_and_judgement_agree(silent):
     _, alarms = silent
     session = Session(setup_of())
