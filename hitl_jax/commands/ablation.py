@@ -33,7 +33,7 @@ def main(options: AblationOptions) -> int:
     """
     if options.name not in (*ABLATIONS, "all"):
         raise BadInput(f"NAME {options.name}: must be one of {', '.join(ABLATIONS)}, all")
-    names = list(ABLATIONS) if options.name == "all" else [options.name]
+    names = options.names
     out = pathlib.Path(options.out)
     with contextlib.ExitStack() as held:
         with checking_input(results="--out"):
@@ -42,6 +42,8 @@ def main(options: AblationOptions) -> int:
             store = Store(out / "runs.csv")
             store.write()  # A folder that cannot be written is noticed now.
             groups = missing_runs(names, options, store)
+        for name in names:
+            say(f"{name}: {options.budget(ABLATIONS[name]).told}")
         keep_programs()
         missing = [run for group in groups for run in group.missing]
         methods = [method for method in Method if any(run.method == method for run in missing)]

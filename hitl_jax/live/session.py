@@ -237,7 +237,7 @@ class Session:
         [frame] = self.frames(number, number + 1)
         measured = {
             "reward": result.reward,
-            "shaped": frame[layout.reward],
+            "shaped": frame[layout.reward] + 0.0,  # −0 is written as 0.
             "terminated": result.terminated,
             "boundary": frame[layout.boundary],
         }

@@ -1,4 +1,4 @@
-"""The report's section of ablations, and how much each was run."""
+"""The report's section of ablations."""
 
 import pathlib
 from collections.abc import Callable, Iterator

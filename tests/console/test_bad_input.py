@@ -52,8 +52,7 @@ takeover-steps human.tolerance human.delay human.miss-rate nothing
 _WORDS = "-1 0 1 7 2.5 nan inf -inf 1e400 None True ddpg srl hitl-ac rule 0x10 1_000 -- - ü [] full"
 
 
-@pytest.mark.slow
-@many(300)
+@many(100)
 @hypothesis.given(
     st.lists(
         st.tuples(

@@ -46,48 +46,6 @@ def test_a_label_lands_on_the_frame_that_was_seen(silent):
     assert rows[seen, layout.next_boundary] == rows[seen, layout.boundary] - np.float32(0.01)
 
 
-def test_a_judgement_in_time_equals_one_that_came_late(silent):
-    _, alarms = silent
-    first, last = alarms[0], alarms[0] + 6
-    in_time, late = Session(setup_of("penalty")), Session(setup_of("penalty"))
-    play(in_time, first)
-    in_time.person.danger(True, first)
-    play(in_time, last)
-    in_time.person.danger(False, last - 1)
-    play(late, last)
-    late.person.danger(True, first)
-    late.person.let_go(last)  # Or the arbiter might intervene now.
-    columns = [
-        late.setup.agent.layout.boundary_reward,
-        *(late.setup.agent.layout.boundary + i for i in (0, 1)),
-    ]
-    play(in_time, 48)
-    play(late, 48)
-    np.testing.assert_array_equal(stored(in_time)[:, columns], stored(late)[:, columns])
-    assert in_time.frame.boundary == late.frame.boundary
-
-
-@pytest.mark.parametrize("ticks", [1, 40])
-def test_what_is_taken_back_leaves_no_trace(silent, ticks):
-    """Boundary and stored rewards, also of frames that the learner had already."""
-    _, alarms = silent
-    session = Session(setup_of())
-    play(session, 45)
-    silence = next(n for n in range(45) if n not in alarms)
-    session.person.danger(True, silence)
-    session.person.danger(False, min(alarms[0] + 3, 44))
-    session.person.safe(44)
-    session.person.undo()
-    label = session.person.undo()
-    assert (label.kind, label.first) == ("danger", silence)
-    assert session.labels == []
-    play(session, 45 + ticks)
-    quiet = Session(setup_of())
-    play(quiet, 45 + ticks)
-    assert session.digest() == quiet.digest()
-    np.testing.assert_array_equal(stored(session), stored(quiet))
-
-
 def test_an_intervention_that_is_taken_back_costs_nothing():
     session = Session(setup_of())
     layout = session.setup.agent.layout
@@ -324,3 +282,47 @@ def test_learning_on_the_device_that_acts(monkeypatch):
     session = Session(setup_of())
     play(session, 96)
     assert session.updates > 0
+
+
+@pytest.mark.usefixtures("compiled_fully")
+def test_a_judgement_in_time_equals_one_that_came_late(silent):
+    _, alarms = silent
+    first, last = alarms[0], alarms[0] + 6
+    in_time, late = Session(setup_of("penalty")), Session(setup_of("penalty"))
+    play(in_time, first)
+    in_time.person.danger(True, first)
+    play(in_time, last)
+    in_time.person.danger(False, last - 1)
+    play(late, last)
+    late.person.danger(True, first)
+    late.person.let_go(last)  # Or the arbiter might intervene now.
+    columns = [
+        late.setup.agent.layout.boundary_reward,
+        *(late.setup.agent.layout.boundary + i for i in (0, 1)),
+    ]
+    play(in_time, 48)
+    play(late, 48)
+    np.testing.assert_array_equal(stored(in_time)[:, columns], stored(late)[:, columns])
+    assert in_time.frame.boundary == late.frame.boundary
+
+
+@pytest.mark.usefixtures("compiled_fully")
+@pytest.mark.parametrize("ticks", [1, 40])
+def test_what_is_taken_back_leaves_no_trace(silent, ticks):
+    """Boundary and stored rewards, also of frames that the learner had already."""
+    _, alarms = silent
+    session = Session(setup_of())
+    play(session, 45)
+    silence = next(n for n in range(45) if n not in alarms)
+    session.person.danger(True, silence)
+    session.person.danger(False, min(alarms[0] + 3, 44))
+    session.person.safe(44)
+    session.person.undo()
+    label = session.person.undo()
+    assert (label.kind, label.first) == ("danger", silence)
+    assert session.labels == []
+    play(session, 45 + ticks)
+    quiet = Session(setup_of())
+    play(quiet, 45 + ticks)
+    assert session.digest() == quiet.digest()
+    np.testing.assert_array_equal(stored(session), stored(quiet))

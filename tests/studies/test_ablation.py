@@ -209,8 +209,13 @@ def test_ablations_of_different_budgets_are_made_together(tmp_path, monkeypatch)
     groups = runs.missing_runs(
         ["tiny", "longer"], AblationOptions("all", seeds=1), Store(tmp_path / "runs.csv")
     )
-    specs = [(s.seed, s.episodes) for group in groups for s in runs.batch_of(group).specs]
-    assert sorted(specs) == [(3, 7)] * 2 + [(100, 160)] * 3
+    batches = [runs.batch_of(group) for group in groups]
+    made = [
+        (spec.seed, spec.episodes, batch.walkers.test_episodes)
+        for batch in batches
+        for spec in batch.specs
+    ]
+    assert sorted(made) == [(3, 7, 2)] * 2 + [(100, 160, 20)] * 3
 
 
 def test_the_help_names_every_ablation():

@@ -91,7 +91,6 @@ def _play(monkeypatch, every):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("compiled_fully")
 def test_a_run_can_be_asked_at_any_time():
     hyper = hyper_for(Method.SRL, paper_hyper(warmup_steps=16))
     agent = agents.make_agent(paper_config(learner="td3", hidden_sizes=(8,), batch_size=8))

@@ -24,7 +24,6 @@ def test_a_key_is_its_seed(seed):
     np.testing.assert_array_equal(jax.random.key_data(wrap_key(words)), words)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "setting",
     ["jax_default_prng_impl='rbg'", "jax_enable_x64=True", "jax_numpy_rank_promotion='raise'"],

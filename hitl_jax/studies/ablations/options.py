@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from hitl_jax.choices.checks import require_seeds, require_whole
+from hitl_jax.choices.checks import one_of, require_seeds, require_whole
 from hitl_jax.evaluation.trials import MOST_TEST_EPISODES
 from hitl_jax.studies.ablations.settings import ABLATIONS, Ablation, Budget
 from hitl_jax.sweep.launchers import LaunchOptions
@@ -18,8 +18,8 @@ class AblationOptions:
     Attributes:
         name: one of exploration, fading, feedback, loophole, boundary-parts, initial-boundary,
             human-price, human-data; or `all`.
-        seeds: number of seeds for each setting (default: as in the kept table, like the next
-            three).
+        seeds: number of seeds for each setting (default: the ablation's own, as of the next
+            three options).
         first_seed: the first of them.
         episodes: training episodes of a run.
         test_episodes: test episodes of a run, alone and again with the human.
@@ -36,6 +36,11 @@ class AblationOptions:
     out: str = "runs/ablations"
     launch: Annotated[LaunchOptions, tyro.conf.arg(name="")] = LaunchOptions()
 
+    @property
+    def names(self) -> list[str]:
+        """The ablations that are asked for."""
+        return list(ABLATIONS) if self.name == "all" else [self.name]
+
     def budget(self, ablation: Ablation) -> Budget:
         """The ablation's, but for what was asked for."""
         names = (field.name for field in dataclasses.fields(Budget))
@@ -43,13 +48,13 @@ class AblationOptions:
         return dataclasses.replace(ablation.budget, **asked)
 
     def checked(self) -> "AblationOptions":
-        """Checks every option but the name, which must be one of the above; returns itself.
+        """Checks every option; returns itself.
 
         Raises:
             InvalidValue: one line with the name, the value and what is allowed.
         """
-        names = list(ABLATIONS) if self.name == "all" else [self.name]
-        for budget in (self.budget(ABLATIONS[name]) for name in names):
+        one_of("name", self.name, (*ABLATIONS, "all"))
+        for budget in (self.budget(ABLATIONS[name]) for name in self.names):
             require_seeds(budget.first_seed, budget.seeds)
             require_whole("episodes", budget.episodes, at_least=1)
             require_whole("test_episodes", budget.test_episodes, 1, MOST_TEST_EPISODES)

@@ -39,7 +39,7 @@ class Group(NamedTuple):
     Attributes:
         name: of the group among others; its saves are kept by it.
         parts: the options of one of them.
-        budget: of each of them.
+        budget: of each of them, but for the seeds.
         missing: those that the store lacks, with their options.
     """
 

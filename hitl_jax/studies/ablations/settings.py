@@ -42,7 +42,8 @@ class Budget:
     Attributes:
         seeds: number of seeds for each setting and method.
         first_seed: the first of them; one that chooses a default has those of tuning.
-        episodes: training episodes of a run.
+        episodes: training episodes of a run; few where late walkers, which hardly fall, would
+            tell nothing.
         test_episodes: test episodes of a run, alone and again with the human.
     """
 
@@ -57,6 +58,14 @@ class Budget:
         return {"episodes": self.episodes, "test_episodes": self.test_episodes}
 
     @property
+    def told(self) -> str:
+        """In words."""
+        return (
+            f"Seeds {self.first_seed} to {self.all_seeds[-1]}, {self.episodes} training episodes, "
+            f"{self.test_episodes} test episodes each way."
+        )
+
+    @property
     def all_seeds(self) -> range:
         """Of each setting and method."""
         return range(self.first_seed, self.first_seed + self.seeds)
@@ -69,7 +78,7 @@ class Ablation:
     Attributes:
         title: what is taken apart.
         settings: its rows.
-        budget: of the kept table.
+        budget: of the kept table, or of the one that is to be kept.
         is_number: whether the settings are values of one number, with which their labels begin;
             the figure then has curves over it.
     """

@@ -59,10 +59,7 @@ def write_ablation(name: str, budget: Budget, store: Store) -> Written:
     lines = lines_of(ablation, budget, store)
     if not lines:
         return Written("", [])
-    told = (
-        f"Seeds {budget.first_seed} to {budget.all_seeds[-1]}, {budget.episodes} training "
-        f"episodes, {budget.test_episodes} test episodes each way."
-    )
+    told = budget.told
     done = sum(len(line.runs) for line in lines)
     asked = budget.seeds * sum(len(setting.methods) for setting in ablation.settings)
     if done < asked:
