@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +32,7 @@ def measured(lines: Sequence[Line]) -> list[Line]:
 
 
 def draw_human_time(values: str, curves: Sequence[Sequence[Line]]) -> Figure:
-    """Points with intervals, those of a curve joined in their order.
+    """Points with intervals; a curve is drawn where the human's time goes one way along it.
 
     Args:
         values: what the lines' labels are values of.
@@ -55,14 +56,18 @@ def _draw_curve(axes: Axes, lines: Sequence[Line]) -> None:
     seconds = [line.values(_STEPS) / STEPS_PER_SECOND for line in lines]
     areas = [line.values(AREA) for line in lines]
     xs, ys = ([values.mean() for values in measure] for measure in (seconds, areas))
-    axes.plot(xs, ys, marker="o", markersize=4, linewidth=1.2, **style)
+    one_way = len({np.sign(step) for step in np.diff(xs)}) == 1
+    axes.plot(xs, ys, marker="o", markersize=4, linewidth=1.2 * one_way, **style)
     x_ends, y_ends = (
         np.transpose([stats.bootstrap_interval(values, stats.mean) for values in measure])
         for measure in (seconds, areas)
     )
     axes.hlines(ys, *x_ends, color=style["color"], linewidth=1.0, alpha=0.6)
     axes.vlines(xs, *y_ends, color=style["color"], linewidth=1.0, alpha=0.6)
-    for line, x, y in zip(lines, xs, ys, strict=True):
-        value = literal(line.label.split()[0])
-        place: dict[str, Any] = {"xytext": (4, 4), "textcoords": "offset points", "fontsize": 7.5}
-        axes.annotate(value, (x, y), color=style["color"], **place)
+    # On both sides in turn, since points may lie close together.
+    for line, x, y, side in zip(lines, xs, ys, itertools.cycle("lr"), strict=False):
+        away = {"l": (-7, "right"), "r": (7, "left")}[side]
+        place: dict[str, Any] = {"xytext": (away[0], -3), "ha": away[1], "fontsize": 7.5}
+        name = literal(line.label.split()[0])
+        place |= {"bbox": {"fc": "w", "ec": "none", "pad": 0.5}, "color": style["color"]}
+        axes.annotate(name, (x, y), textcoords="offset points", **place)
