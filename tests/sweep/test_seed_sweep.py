@@ -124,7 +124,7 @@ def test_alarms_are_counted_in_the_episodes_of_the_tests(swept):
 
 @pytest.mark.slow
 def test_help_is_measured_on_the_terrains_of_the_tests(swept):
-    assert run_main("assistance", assistance.main, [str(swept), "--episodes", "2"]) == 0
+    assert run_main("assistance", assistance.main, [str(swept), "--episodes", "1"]) == 0
     rows = list(csv.DictReader((swept / "assistance.csv").read_text().splitlines()))
     for run in ResultsFolder(swept).load_all():
         alone = select(run.tests, "mode", "autonomous")
@@ -135,8 +135,8 @@ def test_help_is_measured_on_the_terrains_of_the_tests(swept):
         learned = {"learned boundary"} if run.key.method == "hitl-ac" else set()
         assert {row["rule"] for row in own} == {"alone", "fixed boundary", "chance"} | learned
         assert {row["human"] for row in own} == {"nobody", "judges", "trusts"}
-        assert int(own[0]["steps"]) == alone["length"].sum()
-        assert float(own[0]["return_mean"]) == pytest.approx(alone["return"].mean())
+        assert int(own[0]["steps"]) == alone["length"][0]
+        assert float(own[0]["return_mean"]) == pytest.approx(alone["return"][0])
         assert all(int(row["human_steps"]) <= int(row["steps"]) for row in own)
     assert (swept / "figures" / "figure12_assistance.png").exists()
 
