@@ -101,4 +101,6 @@ def _legend(figure: Figure, lines: list[Line]) -> None:
         for method in METHODS
         if any(line.method == method for line in lines)
     ]
-    figure.legend(handles=marks, title=_GUIDE, loc="outside lower center", ncols=3)
+    figure.legend(
+        handles=marks, title=_GUIDE, loc="outside lower center", ncols=3, handlelength=3.5
+    )
