@@ -6,7 +6,10 @@ import re
 
 ROOT = pathlib.Path(__file__).parents[1]
 PAGES = [
-    *(ROOT / name for name in ("README.md", "SECURITY.md", "results/README.md")),
+    *(
+        ROOT / name
+        for name in ("README.md", "SECURITY.md", "results/README.md", "results/REPORT.md")
+    ),
     *sorted((ROOT / "docs").glob("*.md")),
 ]
 
