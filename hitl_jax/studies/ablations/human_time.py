@@ -57,7 +57,7 @@ def _draw_curve(axes: Axes, lines: Sequence[Line]) -> None:
     areas = [line.values(AREA) for line in lines]
     xs, ys = ([values.mean() for values in measure] for measure in (seconds, areas))
     one_way = len({np.sign(step) for step in np.diff(xs)}) == 1
-    axes.plot(xs, ys, marker="o", markersize=4, linewidth=1.2 * one_way, **style)
+    axes.plot(xs, ys, marker="o", markersize=4, linewidth=1.2 if one_way else 0.0, **style)
     x_ends, y_ends = (
         np.transpose([stats.bootstrap_interval(values, stats.mean) for values in measure])
         for measure in (seconds, areas)
