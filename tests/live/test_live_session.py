@@ -13,6 +13,7 @@ from hitl_jax.envs.visible_walker import VisibleWalker
 from hitl_jax.live import background_learner, messages, person
 from hitl_jax.live.labels import Label, boundary_along, judged
 from hitl_jax.live.session import Session
+from hitl_jax.results.episode_measures import Episode
 from hitl_jax.team.agent import make_agent
 from hitl_jax.training.run_spec import episode_seed
 
@@ -82,6 +83,8 @@ def test_of_weight_0_only_the_feedback_is_learned_from():
     assert (rewards[20:30] == HYPER.feedback).all()
     assert not rewards[:20].any()
     assert not rewards[30:].any()
+    shaped = np.array([step[Episode._fields.index("shaped")] for step in session._steps])
+    assert not np.signbit(shaped[shaped == 0.0]).any()
 
 
 def test_the_arbiter_hands_over_where_alarm_and_judgement_agree(silent):

@@ -6,6 +6,7 @@ import pathlib
 import pytest
 
 from hitl_jax.config import AgentConfig, Hyper
+from hitl_jax.errors import InvalidValue
 from hitl_jax.playback.load_trained import section_of
 from hitl_jax.results import episode_tables
 from hitl_jax.results.folder import ResultsFolder
@@ -26,6 +27,11 @@ def test_every_setting_can_be_made_and_has_a_label_of_its_own():
         for setting in one.settings:
             changed(BASE | setting.changes)
             assert len(setting.name) <= episode_tables._LONGEST_CELL
+
+
+def test_a_name_that_is_none_is_refused():
+    with pytest.raises(InvalidValue, match=r"^name sleep: must be one of exploration, fading"):
+        AblationOptions("sleep").checked()
 
 
 def test_an_ablation_is_run_as_its_kept_table_was():

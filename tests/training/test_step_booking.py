@@ -119,6 +119,14 @@ def test_the_environments_reward_counts_as_much_as_its_weight():
     assert (episode.reward.sum(), episode.shaped.sum()) == (3.0, -10.0)
 
 
+def test_of_weight_0_a_loss_is_no_negative_zero():
+    steps = _steps(3, _LOGGED, terminated=[2])
+    steps[:, _LOGGED.reward] = -1.0
+    hyper = _HYPER.replace(reward_weight=0.0)
+    shaped = episode_of(steps, _LOGGED, paper_config(), hyper).shaped
+    assert not shaped.any() and not np.signbit(shaped).any()
+
+
 @pytest.mark.parametrize(
     ("schedule", "total"), [("step", -17.0), ("onset", -7.0), ("episode", -7.0)]
 )
