@@ -171,7 +171,8 @@ class Hyper:
     Attributes:
         actor_learning_rate: Adam's step size for μ.
         critic_learning_rate: Adam's step size for Q.
-        target_step_size: Polyak step of the targets, a share a step.
+        target_step_size: Polyak step of the targets, a share an update of the actor; of the
+            boundary critic's, an update of that.
         average_step_size: Polyak step of the averaged actor, a share an update of the actor.
         gamma: discount of one environment step.
         target_noise: standard deviation of TD3's target smoothing, in units of action.
@@ -215,7 +216,8 @@ class Hyper:
         release_share: with hysteresis, the share of the boundary below which a takeover ends.
         human_action_noise: standard deviation of the noise on a^h.
         human: the simulated human's parameters.
-        extra: numbers of choices of one's own, by name.
+        extra: numbers of single choices, by name: `imitation_weight` (10), `proxy_value` (1), and
+            those of choices of one's own.
     """
 
     actor_learning_rate: float = number(1e-3, 0.0)

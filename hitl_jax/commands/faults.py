@@ -34,7 +34,7 @@ class FaultOptions:
         first: what the random moments start from.
         longest: longest time from a start, or from the first save after it, to a kill [s]; half of
             it for walker processes.
-        out: a new folder for the three sweeps.
+        out: a new folder for the four sweeps.
     """
 
     kills: int = 20

@@ -1,7 +1,7 @@
 """The main job: `hitl-jax sweep`.
 
 Trains SRL, HITL-FIX and HITL-AC over a batch of seeds on BipedalWalker-v3, tests each trained
-walker, and writes tables and Figures 4 to 6. Started again in the same folder it goes on where it
+walker, and writes tables and Figures 4 to 7. Started again in the same folder it goes on where it
 was.
 """
 

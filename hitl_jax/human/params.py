@@ -46,7 +46,8 @@ class HumanParams:
         max_interventions: interventions that the human has patience for in a run. A judgement that
             is withheld counts as safe, and so loosens a boundary that raises alarms.
         refractory_steps: rest after an intervention before the next.
-        extra: numbers of a part or danger model of one's own, by name.
+        extra: numbers of single parts and danger models, by name: `least_expectation` (0.05) of
+            `experienced`, `foresight_margin` (3 m) of `foresight`, and those of one's own.
     """
 
     tolerance: float = checked_by(0.45, _above_0, "rad")

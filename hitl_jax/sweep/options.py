@@ -38,7 +38,7 @@ _MOST_WORKERS = 1024
 @described
 @dataclasses.dataclass(frozen=True)
 class SweepOptions:
-    """Train SRL, HITL-FIX and HITL-AC over a batch of seeds, test each walker, draw Figures 4-6.
+    """Train SRL, HITL-FIX and HITL-AC over a batch of seeds, test each walker, draw Figures 4-7.
 
     Attributes:
         preset: `full` is the default comparison (10 seeds, 400 episodes, 100 test episodes);
@@ -58,7 +58,7 @@ class SweepOptions:
             preset's).
         backend: what plays the walkers (default: lean, or jax where Box2D cannot be imported):
         workers: processes that step walkers, or CPU devices with `jax` (default: one a core).
-        slots: runs at a time, at least two a core; the others wait. Each takes capacity x 140 bytes
+        slots: runs at a time, at least two a core; the others wait. Each takes capacity x 148 bytes
             of memory.
         human: `simulated`, by the options below, or `recorded:FILE`, a person's judgements in a
             live session (see `hitl-jax recorded`), played back step by step.

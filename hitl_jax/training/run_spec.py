@@ -36,7 +36,8 @@ class LoopConfig:
     Attributes:
         capacity: frames in the replay of a run; rounded up to whole chunks.
         chunk: ticks between two calls of the learner; a tick is an environment step, or the reset
-            after an episode. The boundary learner makes one update a call (the paper: one a step).
+            after an episode. The boundary learner makes four updates a call with `margin`, one
+            with `printed` (the paper: one a step).
         updates_per_step: updates of the task learner per tick.
     """
 

@@ -27,7 +27,7 @@ from damages import Damage
 from live_team import setup_of
 from made_files import CAPACITY, KEY, RUN, SHARD, config_of_a_sweep, human_of, small_team
 
-from hitl_jax.analysis import alarm_figures, boundary_map
+from hitl_jax.analysis import alarm_figures, assistance_figure, boundary_map, warning_figures
 from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.live import journal
 from hitl_jax.live.begin import networks_from
@@ -137,6 +137,14 @@ def _read_alarms(root: pathlib.Path) -> Any:
         return alarm_figures.load_counts(path.read_bytes().decode())
 
 
+def _read_warnings(root: pathlib.Path) -> Any:
+    return warning_figures.load_all(ResultsFolder(root / "sweep"))
+
+
+def _read_assistance(root: pathlib.Path) -> Any:
+    return assistance_figure.load(root / "sweep" / assistance_figure.DATA)
+
+
 def _read_map(root: pathlib.Path) -> Any:
     return boundary_map.told(ResultsFolder(root / "sweep"))
 
@@ -243,6 +251,11 @@ FORMATS = (
     Format("journal", "session.jsonl", _read_journal, (*_LINES, sign_lines), like_lines),
     Format("journal, version 2", "session-2.jsonl", _read_old_journal, _LINES, like_lines),
     Format("alarms.csv", "sweep/alarms.csv", _read_alarms, _CSV, like_csv),
+    *(
+        Format(name, f"sweep/{name}", _read_warnings, _CSV, like_csv)
+        for name in warning_figures.TABLES
+    ),
+    Format("assistance.csv", "sweep/assistance.csv", _read_assistance, _CSV, like_csv),
     Format("boundary_map.csv", "sweep/boundary_map.csv", _read_map, _CSV, like_csv),
     Format("ablation's runs.csv", "ablation/runs.csv", _read_store, _CSV, like_csv),
     Format("tuning's json", "tuning/mine.json", _read_tuning, _JSON, like_json),

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from live_team import setup_of
 
-from hitl_jax.analysis import alarm_figures, boundary_map
+from hitl_jax.analysis import alarm_figures, assistance_figure, boundary_map, warning_figures
 from hitl_jax.config import AgentConfig
 from hitl_jax.live import journal
 from hitl_jax.live.options import LiveOptions
@@ -73,6 +73,8 @@ def make(root: pathlib.Path) -> None:
         folder.write_partial(RunKey("srl", 1), random_columns(EPISODE_COLUMNS, EPISODES, rng))
     _as_of_format_1(root / "old")
     (root / "sweep" / alarm_figures.DATA).write_text(_alarms())
+    for name, text in (_warnings() | {assistance_figure.DATA: _assistance()}).items():
+        (root / "sweep" / name).write_text(text)
     (root / "sweep" / boundary_map.DATA).write_text(
         "angle,velocity,steps,boundary\n0.1,0.2,3,0.7\n"
     )
@@ -163,6 +165,33 @@ def _alarms() -> str:
     for method in ("srl", "hitl-ac"):
         lines += [f"{method},{seed},{tau},9,4,2,1,1,3" for seed in (0, 1) for tau in (0.0, 0.5)]
     return "\n".join(lines) + "\n"
+
+
+def _warnings() -> dict[str, str]:
+    """The tables of Figure 11."""
+    first = {
+        warning_figures.WARNINGS: (warning_figures.WARNING_COLUMNS, ["hull_angle", 0.01]),
+        warning_figures.PRECISION: (warning_figures.PRECISION_COLUMNS, ["hull_angle", 0.5]),
+        warning_figures.RELIABILITY: (warning_figures.RELIABILITY_COLUMNS, [3]),
+    }
+    return {
+        name: "".join(
+            ",".join(map(str, row)) + "\n"
+            for row in (
+                columns,
+                *(["hitl-ac", seed, *by, *range(9)][: len(columns)] for seed in (0, 1)),
+            )
+        )
+        for name, (columns, by) in first.items()
+    }
+
+
+def _assistance() -> str:
+    alone = [["hitl-ac", seed, "alone", "nobody", 0, 0, 2, 50.5, 1, 90, 0, 0] for seed in (0, 1)]
+    called = [["hitl-ac", seed, "chance", "trusts", 0.1, 1, 2, 60, 0, 99, 9, 3] for seed in (0, 1)]
+    return "".join(
+        ",".join(map(str, row)) + "\n" for row in (assistance_figure.COLUMNS, *alone, *called)
+    )
 
 
 def _make_saves(path: pathlib.Path, rng: np.random.Generator) -> None:

@@ -101,6 +101,7 @@ def _speeds(world):
     return Speeds(world.velocity, world.spin)
 
 
+@pytest.mark.slow
 def test_velocity_iterations(state):
     before, _, _, contacts, joint, constraints = state
     assert contacts.touching[:, 1::2].any()

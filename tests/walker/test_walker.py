@@ -256,6 +256,24 @@ def test_impulses_follow_their_edge_and_point_to_another_slot():
     assert not stands.any()  # Contact 10 ended and 11 began: the left one, 10, decides.
 
 
+def test_the_pools_episodes_follow_from_their_seeds():
+    seeds = np.arange(3, dtype=np.uint32)
+    action = np.random.default_rng(0).uniform(-1, 1, (3, 4)).astype(np.float32)
+    with make_pool("jax", 3) as pool:
+        first = pool.step(np.full(3, Command.RESET), action, seeds)
+        assert (first.reward == 0).all()
+        second = pool.step(np.full(3, Command.STEP), action, seeds)
+        # One walker idles, one steps, one begins the first one's episode.
+        command = np.array([Command.IDLE, Command.STEP, Command.RESET])
+        third = pool.step(command, action, seeds[[0, 1, 0]])
+        np.testing.assert_array_equal(third.observation[0], second.observation[0])
+        assert (third.observation[1] != second.observation[1]).any()
+        np.testing.assert_array_equal(third.observation[2], first.observation[0])
+        again = pool.step(np.full(3, Command.STEP), action[[0, 1, 0]], seeds)
+        np.testing.assert_array_equal(again.observation[2], second.observation[0])
+
+
+@pytest.mark.slow
 @pytest.mark.usefixtures("compiled_fully")
 def test_a_step_depends_on_neither_lane_nor_other_walkers():
     rng, rows = np.random.default_rng(0), []
@@ -294,21 +312,3 @@ def test_many_walkers_are_stepped_in_blocks(monkeypatch):
     many = stepped(18 * LANES)
     np.testing.assert_array_equal(many[:3], few)
     assert len(np.unique(many, axis=0)) == len(many)
-
-
-@pytest.mark.usefixtures("compiled_fully")
-def test_the_pools_episodes_follow_from_their_seeds():
-    seeds = np.arange(3, dtype=np.uint32)
-    action = np.random.default_rng(0).uniform(-1, 1, (3, 4)).astype(np.float32)
-    with make_pool("jax", 3) as pool:
-        first = pool.step(np.full(3, Command.RESET), action, seeds)
-        assert (first.reward == 0).all()
-        second = pool.step(np.full(3, Command.STEP), action, seeds)
-        # One walker idles, one steps, one begins the first one's episode.
-        command = np.array([Command.IDLE, Command.STEP, Command.RESET])
-        third = pool.step(command, action, seeds[[0, 1, 0]])
-        np.testing.assert_array_equal(third.observation[0], second.observation[0])
-        assert (third.observation[1] != second.observation[1]).any()
-        np.testing.assert_array_equal(third.observation[2], first.observation[0])
-        again = pool.step(np.full(3, Command.STEP), action[[0, 1, 0]], seeds)
-        np.testing.assert_array_equal(again.observation[2], second.observation[0])

@@ -15,6 +15,7 @@ _PLAIN = [(3, 5, 2), (3, 2, 4), (31, 40, 10), (64, 31, 31), (64, 40, 3)]
 _PLAIN += [(127, 40, 64), (130, 40, 1)]
 _NARROW = [(32, 32, 4), (32, 40, 10), (128, 40, 31)]
 _TRANSPOSED = [(128, 32, 32), (128, 40, 64), (130, 40, 33)]
+_STACKS = pytest.mark.parametrize("stack", [(), pytest.param((2,), marks=pytest.mark.slow)])
 
 
 def _operands(rows, inputs, outputs, stack):
@@ -36,7 +37,7 @@ def _assert_close(ours, theirs):
 
 
 @pytest.mark.parametrize(("rows", "inputs", "outputs"), _PLAIN + _NARROW + _TRANSPOSED)
-@pytest.mark.parametrize("stack", [(), (2,)])
+@_STACKS
 def test_product_and_its_gradient_are_those_of_a_matrix_product(rows, inputs, outputs, stack):
     given = _operands(rows, inputs, outputs, stack)
     ours = jax.jit(_value_and_gradients(product))(*given)
@@ -44,7 +45,7 @@ def test_product_and_its_gradient_are_those_of_a_matrix_product(rows, inputs, ou
 
 
 @pytest.mark.parametrize(("rows", "inputs", "outputs"), _PLAIN[:1] + _NARROW + _TRANSPOSED)
-@pytest.mark.parametrize("stack", [(), (2,)])
+@_STACKS
 @pytest.mark.parametrize("precision", MATMUL_PRECISIONS)
 def test_gradients_under_vmap(rows, inputs, outputs, stack, precision):
     given = [
@@ -56,7 +57,7 @@ def test_gradients_under_vmap(rows, inputs, outputs, stack, precision):
 
 
 @pytest.mark.parametrize(("rows", "inputs", "outputs"), _PLAIN[:1] + _NARROW + _TRANSPOSED)
-@pytest.mark.parametrize("stack", [(), (2,)])
+@_STACKS
 def test_bfloat16_rounds_operands_and_nothing_else(rows, inputs, outputs, stack):
     given = _operands(rows, inputs, outputs, stack)
     rounded = [value.astype("bfloat16").astype("float32") for value in given]

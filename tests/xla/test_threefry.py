@@ -1,5 +1,6 @@
 """Keys and draws do not depend on the user's JAX configuration."""
 
+import functools
 import subprocess
 import sys
 
@@ -24,15 +25,17 @@ def test_a_key_is_its_seed(seed):
     np.testing.assert_array_equal(jax.random.key_data(wrap_key(words)), words)
 
 
+@functools.cache
+def _drawn(first):
+    return subprocess.run(
+        [sys.executable, "-c", first + _DRAW], capture_output=True, text=True, check=True
+    ).stdout
+
+
 @pytest.mark.parametrize(
     "setting",
     ["jax_default_prng_impl='rbg'", "jax_enable_x64=True", "jax_numpy_rank_promotion='raise'"],
 )
 def test_draws_do_not_depend_on_the_users_configuration(setting):
-    def drawn(first):
-        return subprocess.run(
-            [sys.executable, "-c", first + _DRAW], capture_output=True, text=True, check=True
-        ).stdout
-
     name, value = setting.split("=")
-    assert drawn(f"import jax; jax.config.update('{name}', {value})") == drawn("")
+    assert _drawn(f"import jax; jax.config.update('{name}', {value})") == _drawn("")

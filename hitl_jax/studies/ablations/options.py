@@ -16,10 +16,10 @@ class AblationOptions:
     """Compare settings of one part of the team, each over several seeds.
 
     Attributes:
-        name: one of exploration, fading, feedback, loophole, boundary-parts, initial-boundary,
-            human-price, human-data; or `all`.
-        seeds: number of seeds for each setting (default: the ablation's own, as of the next
-            three options).
+        name: one of exploration, fading, loophole, boundary-parts, initial-boundary, human-price,
+            human-data; or `all`.
+        seeds: number of seeds for each setting (default of this and of the next three options:
+            what the ablation's kept table has).
         first_seed: the first of them.
         episodes: training episodes of a run.
         test_episodes: test episodes of a run, alone and again with the human.

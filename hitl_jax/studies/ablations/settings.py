@@ -157,16 +157,6 @@ ABLATIONS: dict[str, Ablation] = {
         ),
         Budget(episodes=400, test_episodes=100),
     ),
-    "feedback": Ablation(
-        "The human's feedback r(s, a^h), where they reset",
-        (
-            Setting("0", {"feedback": 0.0}),
-            Setting("-5", {"feedback": -5.0}),
-            Setting("-20 (base)"),
-            Setting("-100", {"feedback": -100.0}),
-        ),
-        Budget(seeds=5, first_seed=0, episodes=300),
-    ),
     "loophole": Ablation(
         "Where being reset pays: intervention, feedback, and whether a reset ends the bootstrap",
         (
