@@ -106,7 +106,7 @@ def test_memory_is_flat():
 
 
 def test_a_finished_run_takes_no_more_steps():
-    pool = ToyPool(2)
+    pool = ToyPool(4)
     specs = [_spec(Method.SRL, 0), _spec(Method.HITL_AC, 0)]
     rollout = Rollout(make_agent(_CONFIG), specs, pool, _LOOP)
     finished = [run for done in rollout for run in done]
@@ -116,7 +116,7 @@ def test_a_finished_run_takes_no_more_steps():
 @pytest.mark.parametrize("terminates", [True, False])
 def test_a_human_reset_ends_the_episode_and_pays_the_feedback(terminates):
     config = dataclasses.replace(_CONFIG, human_reset_terminates=terminates)
-    done = _play([_spec(Method.HITL_FIX, 0)], slots=2, config=config)[Method.HITL_FIX, 0]
+    done = _play([_spec(Method.HITL_FIX, 0)], slots=4, config=config)[Method.HITL_FIX, 0]
     reset = [row for row in done.run.episodes if row["end"] == "human-reset"]
     assert reset
     for row in reset:
