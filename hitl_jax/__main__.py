@@ -20,7 +20,7 @@ _COMMANDS = {
     "recorded": ("recorded", "makes a human for sweeps of a live session"),
     "ablation": ("ablation", "takes one part of the team apart"),
     "tuning": ("tuning", "tells what a learner's configuration costs and gives"),
-    "human": ("human", "makes the trained human that comes with the package"),
+    "human": ("human", "makes the trained human of a task"),
     "report": ("report", "writes the report and all figures from saved results"),
     "benchmark": ("benchmark", "measures how fast each part is on this machine"),
     "agreement": ("agreement", "compares the walker in JAX with Box2D's"),

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+import hitl_jax.tasks  # noqa: F401  # Registers what they bring.
 from hitl_jax.arbiter import FEEDBACK_SCHEDULES, INTERVENTIONS, RELEASES
 from hitl_jax.boundary import BOUNDARY_LEARNERS, SOURCES
 from hitl_jax.boundary.margin import MARGIN_PARTS
@@ -33,7 +34,6 @@ from hitl_jax.choices.fields import (
     whole,
 )
 from hitl_jax.choices.options import require_names
-from hitl_jax.choices.registry import require_trusted
 from hitl_jax.errors import InvalidValue, name_of
 from hitl_jax.human import (
     ALL_PARTS,
@@ -270,22 +270,6 @@ class RunHyper(Hyper):
     has_arbiter: float = number(1.0, 0.0, 1.0)
     learns_boundary: float = number(1.0, 0.0, 1.0)
     human_present: float = number(1.0, 0.0, 1.0)
-
-
-def require_trusted_choices(
-    source: object, config: AgentConfig, backend: str | None = None
-) -> None:
-    """Refuses code that somebody else's file names; see `hitl_jax.choices.registry`.
-
-    Args:
-        source: the file.
-        config: what it says of the team.
-        backend: what it says of the walkers.
-
-    Raises:
-        ResultsError: one line with the file, all such values and what to do.
-    """
-    require_trusted(source, vars(config) | {"backend": backend})
 
 
 def typed(hyper: RunHyper) -> RunHyper:

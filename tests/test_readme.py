@@ -13,7 +13,7 @@ README = (ROOT / "README.md").read_text()
 
 
 def test_the_program_runs_and_means_what_it_says(tmp_path):
-    [code] = python_in(README)
+    _, code = python_in(README)
     made = run(code, tmp_path)
     seen = jnp.asarray(np.random.default_rng(0).normal(size=24), jnp.float32)
     expected = hull_angle(seen) + 0.1 * hull_angular_velocity(seen)
@@ -27,6 +27,13 @@ def test_the_program_runs_and_means_what_it_says(tmp_path):
         said.append(bool(dangerous))
     assert not any(said[:10]) and 0.6 < np.mean(said[10:]) < 0.8
     assert sorted(one.run.spec.seed for one in made["ended"]) in ([0], [1], [0, 1])
+
+
+def test_the_task_of_ones_own_is_the_one_that_is_tested():
+    code, _ = python_in(README)
+    assert (ROOT / "tests" / "pendulum_task.py").read_text().endswith(f'"""\n\n{code}')
+    written = [line for line in code.splitlines() if line]
+    assert len(written) < 15
 
 
 def test_the_two_commands_stand_as_they_are_known():

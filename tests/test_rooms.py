@@ -10,7 +10,7 @@ import pytest
 _PACKAGE = pathlib.Path(__file__).parents[1] / "hitl_jax"
 _ROOMS = (
     *("types", "errors", "choices", "xla", "results", "analysis"),
-    *("learner", "risk", "human", "boundary", "arbiter", "config", "team"),
+    *("learner", "risk", "human", "tasks", "boundary", "arbiter", "config", "team"),
     *("walker", "envs", "training", "evaluation", "sweep"),
     *(
         "console",

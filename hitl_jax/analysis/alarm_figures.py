@@ -22,7 +22,7 @@ from hitl_jax.analysis.figure_style import (
     save,
     threshold_line,
 )
-from hitl_jax.analysis.summary import STEPS_PER_SECOND
+from hitl_jax.analysis.task_facts import steps_per_second_of
 from hitl_jax.results.atomic_files import named_errors, read_bytes
 from hitl_jax.results.episode_measures import ALARM_WINDOW
 from hitl_jax.results.episode_tables import METHODS, cells_from_csv, finite
@@ -115,19 +115,23 @@ class _Share(NamedTuple):
     label: str
 
 
-_WINDOW = f"{ALARM_WINDOW / STEPS_PER_SECOND:g} s"
-_SHARES = (
-    _Share("alarms", "steps", "steps with an alarm [share]"),
-    _Share("timely_alarms", "alarms", f"alarms with a fall\nwithin {_WINDOW} [share]"),
-    _Share("warned_falls", "falls", f"falls with an alarm\nin the last {_WINDOW} [share]"),
-    _Share("lead_steps", "warned_falls", "from first alarm to fall [s]"),
-)
+def _shares(steps_per_second: float) -> tuple[_Share, ...]:
+    window = f"{ALARM_WINDOW / steps_per_second:g} s"
+    return (
+        _Share("alarms", "steps", "steps with an alarm [share]"),
+        _Share("timely_alarms", "alarms", f"alarms with a fall\nwithin {window} [share]"),
+        _Share("warned_falls", "falls", f"falls with an alarm\nin the last {window} [share]"),
+        _Share("lead_steps", "warned_falls", "from first alarm to fall [s]"),
+    )
 
 
 def _figure(methods: dict[str, _Counts], folder: ResultsFolder) -> Figure | None:
     """None where no share has enough counts."""
+    rate = steps_per_second_of(folder.load_config())
     shares = [
-        s for s in _SHARES if any(_enough(of.counts[s.whole]).any() for of in methods.values())
+        share
+        for share in _shares(rate)
+        if any(_enough(of.counts[share.whole]).any() for of in methods.values())
     ]
     if not shares:
         return None
@@ -138,7 +142,7 @@ def _figure(methods: dict[str, _Counts], folder: ResultsFolder) -> Figure | None
         spare.remove()
     axes_of = axes_of[: len(shares)]
     for axes, (part, whole, label) in zip(axes_of, shares, strict=True):
-        scale = 1.0 / STEPS_PER_SECOND if part == "lead_steps" else 1.0
+        scale = 1.0 / rate if part == "lead_steps" else 1.0
         for method, (_, boundaries, counts) in methods.items():
             _draw_share(axes, boundaries, counts[part] * scale, counts[whole], method)
         axes.set(xlabel=boundary_label(folder), ylabel=label)

@@ -60,7 +60,7 @@ def boundary(data: FigureData) -> Figure | None:
         others.append(line_mark(**style))
     upper.set(ylabel=f"{data.boundary_label}\n(mean of the last {_WINDOW} episodes)")
     lower.set(xlabel="training episode", ylabel=data.return_label)
-    mark_solved(lower, "solved")
+    mark_solved(lower, "solved", data.solved)
     legend(figure, lines, others, window=data.window)
     return figure
 

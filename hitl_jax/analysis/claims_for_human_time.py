@@ -4,7 +4,7 @@ import numpy as np
 
 from hitl_jax.analysis import stats
 from hitl_jax.analysis.compared_runs import ComparedRuns
-from hitl_jax.analysis.summary import STEPS_PER_SECOND
+from hitl_jax.analysis.task_facts import STEPS_PER_SECOND, steps_per_second_of
 from hitl_jax.analysis.verdicts import Claim, least, of_sign, told
 from hitl_jax.results.episode_measures import FALL_REWARD
 from hitl_jax.results.folder import Run
@@ -21,8 +21,8 @@ def human_seconds(run: Run, points: np.ndarray) -> np.ndarray:
         run: the run.
         points: training episodes before each test, [P].
     """
-    seconds: np.ndarray = np.cumsum(run.episodes["human_steps"])[points - 1] / STEPS_PER_SECOND
-    return seconds
+    steps: np.ndarray = np.cumsum(run.episodes["human_steps"])[points - 1]
+    return steps / steps_per_second_of(run.info["config"])
 
 
 def return_for_human_time(results: ComparedRuns) -> Claim | None:

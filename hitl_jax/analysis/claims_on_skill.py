@@ -4,6 +4,7 @@ import numpy as np
 
 from hitl_jax.analysis import stats, summary
 from hitl_jax.analysis.compared_runs import ComparedRuns
+from hitl_jax.analysis.task_facts import STEPS_PER_SECOND
 from hitl_jax.analysis.verdicts import (
     MARGIN,
     SURE_AIM,
@@ -150,7 +151,7 @@ def alarms(results: ComparedRuns) -> Claim:
         falls += lead.size
         warned += int((~np.isnan(lead)).sum())
         leads += lead[~np.isnan(lead)].tolist()
-    seconds = np.median(leads) / summary.STEPS_PER_SECOND if leads else 0.0
+    seconds = np.median(leads) / STEPS_PER_SECOND if leads else 0.0
     return Claim(
         "Alarms before falls",
         "–",

@@ -12,6 +12,7 @@ from hitl_jax.analysis.summary import (
     skill_over_training,
     was_tested,
 )
+from hitl_jax.analysis.task_facts import solved_of
 from hitl_jax.results.config_diff import flatten
 from hitl_jax.results.episode_tables import METHODS, Table
 from hitl_jax.results.folder import ResultsFolder, Run
@@ -71,6 +72,7 @@ class FigureData(NamedTuple):
         boundary_label: of an axis.
         rule: how τ moves; None where another rule is executed.
         tolerance: the human's threshold in the indicator's unit; None where there is none.
+        solved: the return that solves the task; None where none is known.
     """
 
     methods: list[MethodData]
@@ -78,6 +80,7 @@ class FigureData(NamedTuple):
     boundary_label: str
     rule: BoundaryRule | None
     tolerance: float | None
+    solved: float | None
 
     @property
     def trained(self) -> list[MethodData]:
@@ -130,8 +133,9 @@ def load(folder: ResultsFolder, runs: list[Run] | None = None) -> FigureData:
             methods.append(MethodData(*shown))
     longest = max((len(t["episode"]) for m in methods for t in m.training), default=0)
     window = int(np.clip(longest // 10, 20, 100))
-    rule, tolerance = _boundary_rule(folder.load_config()), tolerance_in(folder)
-    return FigureData(methods, window, boundary_label(folder), rule, tolerance)
+    config = folder.load_config()
+    rule, tolerance = _boundary_rule(config), tolerance_in(folder)
+    return FigureData(methods, window, boundary_label(folder), rule, tolerance, solved_of(config))
 
 
 def _boundary_rule(config: dict[str, Any]) -> BoundaryRule | None:
@@ -149,6 +153,8 @@ _UNITS = {
     "hull_angle": "rad",
     "hull_angular_velocity": "rad/s",
     "weighted": "rad",
+    "lander_tilt": "rad",
+    "torso_angle": "rad",
     "fall_risk": "probability of a fall",
 }
 """Of the indicators, for figures; they import no JAX."""

@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-SOLVED = 300.0
-"""The return that counts as solving BipedalWalker."""
-
 COLOURS = {"srl": "#D55E00", "hitl-fix": "#009E73", "hitl-ac": "#0072B2"}
 GREY = "#444444"
 _DASHES: dict[str, tuple[float, ...]] = {"srl": (1.2, 1.2), "hitl-fix": (5.0, 1.6), "hitl-ac": ()}
@@ -222,14 +219,16 @@ def line_style(name: str) -> dict[str, Any]:
     return {"color": COLOURS[name], "linestyle": (0.0, _DASHES[name])}
 
 
-def mark_solved(axes: Axes, text: str) -> None:
-    """A dashed line at 300, always in view."""
-    axes.axhline(SOLVED, color=GREY, linewidth=0.9, linestyle="--", zorder=1)
+def mark_solved(axes: Axes, text: str, solved: float | None) -> None:
+    """A dashed line at the return that solves the task, if one is known; always in view."""
+    if solved is None:
+        return
+    axes.axhline(solved, color=GREY, linewidth=0.9, linestyle="--", zorder=1)
     low, high = axes.get_ylim()
-    axes.set_ylim(top=max(high, SOLVED + 0.12 * (SOLVED - low)))
+    axes.set_ylim(top=max(high, solved + 0.12 * (solved - low)))
     place: dict[str, Any] = {"xytext": (0, 2), "textcoords": "offset points"}
     place |= {"ha": "left", "va": "bottom", "fontsize": 7.5}
-    axes.annotate(text, (0.01, SOLVED), xycoords=("axes fraction", "data"), **place)
+    axes.annotate(text, (0.01, solved), xycoords=("axes fraction", "data"), **place)
 
 
 def panels(

@@ -49,6 +49,6 @@ def work(data: FigureData) -> Figure | None:
     left.set_ylim(0.0, 1.05 * left.get_ylim()[1])
     right.set(ylabel=data.return_label)
     right.set(xlabel="interventions so far\n(dot: last episode of a seed)")
-    mark_solved(right, "solved")
+    mark_solved(right, "solved", data.solved)
     legend(figure, lines, band="band, on the left", window=data.window)
     return figure

@@ -35,6 +35,6 @@ def _draw(
     figure, [axes] = panels(1, 1, (COLUMN, 3.9))
     lines = [draw_curve(axes, m.name, curve, m.unfinished) for m, curve in drawn]
     axes.set(xlabel=x_label, ylabel=data.return_label)
-    mark_solved(axes, "solved")
+    mark_solved(axes, "solved", data.solved)
     legend(figure, lines, window=data.window)
     return figure

@@ -54,7 +54,7 @@ def tests(data: FigureData) -> Figure | None:
         axes.set_xticks(range(len(methods)), [_tick(m) for m in methods])
         axes.set(xlim=(-0.5, len(methods) - 0.5))
         axes.grid(visible=False, axis="x")
-        mark_solved(axes, "")  # good walkers stand where the word would
+        mark_solved(axes, "", data.solved)  # good walkers stand where the word would
     left.set(ylabel="return of each test episode of each seed")
     right.set(ylabel="mean test return of each seed (small),\nand of all seeds (large)")
     marks = [
@@ -89,7 +89,7 @@ def over_training(data: FigureData) -> Figure | None:
     axes.set(xlabel="training episodes before the test")
     name = "test return" if helped else "autonomous test return"
     axes.set(ylabel=f"{name}\n(mean of {_episodes_of(methods)} episodes)")
-    mark_solved(axes, "solved")
+    mark_solved(axes, "solved", data.solved)
     legend(figure, lines, others)
     return figure
 
@@ -110,7 +110,7 @@ def over_human_time(data: FigureData) -> Figure | None:
         lines.append(draw_curve(axes, m.name, curve))
     axes.set(xlabel="time in human hands so far [s]")
     axes.set(ylabel=f"autonomous test return\n(mean of {_episodes_of(methods)} episodes)")
-    mark_solved(axes, "solved")
+    mark_solved(axes, "solved", data.solved)
     legend(figure, lines)
     return figure
 

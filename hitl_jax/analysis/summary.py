@@ -9,19 +9,14 @@ import numpy as np
 
 from hitl_jax.analysis import stats
 from hitl_jax.analysis.markdown import table_line
+from hitl_jax.analysis.task_facts import marks_of, steps_per_second_of
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.results.episode_measures import LOST_TESTS
 from hitl_jax.results.episode_tables import Table, rows_to_csv, select
 from hitl_jax.results.folder import ResultsFolder, Run
 
-STEPS_PER_SECOND = 50
-"""Of the walker's simulation."""
-
 WINDOW = 100
 """Episodes in the trailing mean."""
-
-THRESHOLDS = (0, 100, 200, 300)
-"""Returns to be reached by the trailing mean; 300 is the task's own mark of "solved"."""
 
 PAIRS = (("hitl-ac", "hitl-fix"), ("hitl-fix", "srl"), ("hitl-ac", "srl"))
 """(X, Y) of the probabilities that X improves on Y."""
@@ -29,14 +24,13 @@ PAIRS = (("hitl-ac", "hitl-fix"), ("hitl-fix", "srl"), ("hitl-ac", "srl"))
 Row = dict[str, Any]
 """One run's measures; None where there is no value."""
 
-SUMMARY_COLUMNS = (
+_COLUMNS = (
     "method",
     "seed",
     "episodes",
     "env_steps",
     "final_return_100",
     "best_return_100",
-    *(f"{unit}_to_{mark}" for mark in THRESHOLDS for unit in ("episodes", "steps")),
     "test_return_mean",
     "test_return_std",
     "test_fall_rate",
@@ -54,6 +48,8 @@ SUMMARY_COLUMNS = (
     "diverged",
     "wall_seconds",
 )
+_BEFORE = _COLUMNS.index("test_return_mean")
+"""Where the columns of the marks stand."""
 
 _MEASURES = (
     ("test_return_mean", "autonomous test return", 1),
@@ -88,8 +84,22 @@ tests, beside the other runs of its batch on the same processor: it is not what 
 costs."""
 
 
+def summary_columns(marks: Sequence[int]) -> tuple[str, ...]:
+    """The columns of summary.csv.
+
+    Args:
+        marks: of `marks_of`.
+    """
+    passages = (f"{unit}_to_{mark}" for mark in marks for unit in ("episodes", "steps"))
+    return (*_COLUMNS[:_BEFORE], *passages, *_COLUMNS[_BEFORE:])
+
+
+SUMMARY_COLUMNS = summary_columns(marks_of({}))
+"""Of the walker."""
+
+
 def summarise(folder: ResultsFolder) -> tuple[Row, ...]:
-    """The measures of every finished run, keys `SUMMARY_COLUMNS`.
+    """The measures of every finished run, keys `summary_columns`.
 
     Raises:
         ResultsError: if a run is damaged.
@@ -114,8 +124,9 @@ def write_summary(folder: ResultsFolder, runs: list[Run] | None = None) -> list[
     rows = [summarise_run(run) for run in runs]
     unfinished = Counter(key.method for key in folder.load_partials())
     table, report = folder.path / "summary.csv", folder.path / "summary.md"
-    write_text_atomic(table, rows_to_csv(rows, SUMMARY_COLUMNS))
-    write_text_atomic(report, _report(runs, unfinished))
+    marks = marks_of(folder.load_config())
+    write_text_atomic(table, rows_to_csv(rows, summary_columns(marks)))
+    write_text_atomic(report, _report(runs, unfinished, marks))
     return [table, report]
 
 
@@ -175,8 +186,10 @@ def _mean(tests: Table, episodes: int) -> float:
 
 
 def summarise_run(run: Run) -> Row:
-    """The measures of one run, keys `SUMMARY_COLUMNS`."""
+    """The measures of one run, keys `summary_columns`."""
     episodes, tests = run.episodes, run.tests
+    config = run.info["config"]
+    marks = marks_of(config)
     trailing = stats.trailing_mean(episodes["return"], WINDOW)
     autonomous, assisted = select(tests, "mode", "autonomous"), select(tests, "mode", "assisted")
     row: Row = {
@@ -203,12 +216,12 @@ def summarise_run(run: Run) -> Row:
         "diverged": int(run.diverged),
         "wall_seconds": run.info["wall_seconds"],
     }
-    for mark in THRESHOLDS:
+    for mark in marks:
         passage = stats.first_passage(trailing, mark, WINDOW)
         row[f"episodes_to_{mark}"] = passage
         row[f"steps_to_{mark}"] = steps_at(episodes, passage)
-    row |= _alarms_before_falls(autonomous)
-    return {name: row[name] for name in SUMMARY_COLUMNS}
+    row |= _alarms_before_falls(autonomous, steps_per_second_of(config))
+    return {name: row[name] for name in summary_columns(marks)}
 
 
 def steps_at(episodes: Table, passage: float | None) -> float | None:
@@ -218,7 +231,7 @@ def steps_at(episodes: Table, passage: float | None) -> float | None:
     return int(episodes["env_steps"][int(passage) - 1])
 
 
-def _alarms_before_falls(autonomous: Table) -> Row:
+def _alarms_before_falls(autonomous: Table, steps_per_second: float) -> Row:
     """How well alarms foretell falls where no human interferes: "falls within k steps" is truth."""
     fallen = autonomous["fall"] == 1
     lead = autonomous["lead_steps"][fallen]
@@ -230,11 +243,11 @@ def _alarms_before_falls(autonomous: Table) -> Row:
         "alarm_precision": _ratio(autonomous["alarms_before_fall"], autonomous["alarms"]),
         "alarm_recall": _value(np.mean, warned) if judged else None,
         "alarm_lead_steps": steps,
-        "alarm_lead_seconds": None if steps is None else steps / STEPS_PER_SECOND,
+        "alarm_lead_seconds": None if steps is None else steps / steps_per_second,
     }
 
 
-def _report(runs: list[Run], unfinished: Counter[str]) -> str:
+def _report(runs: list[Run], unfinished: Counter[str], marks: Sequence[int]) -> str:
     rows = tuple(summarise_run(run) for run in runs)
     finished = Counter(row["method"] for row in rows)
     methods = list(finished)
@@ -258,11 +271,13 @@ def _report(runs: list[Run], unfinished: Counter[str]) -> str:
             cells = [_cell(_scores(rows, m, column), statistic, decimals) for m in methods]
             lines.append(table_line([name, *cells]))
         lines.append("")
-    lines += ["## Until the mean of the last 100 training returns reaches a mark", ""]
-    lines += _table_head(["mark", *methods])
-    for mark in THRESHOLDS:
-        lines.append(table_line([str(mark), *(_passage(rows, m, mark) for m in methods)]))
-    lines += ["", "## Probability of improvement on the autonomous test return", ""]
+    if marks:
+        lines += ["## Until the mean of the last 100 training returns reaches a mark", ""]
+        lines += _table_head(["mark", *methods])
+        for mark in marks:
+            lines.append(table_line([str(mark), *(_passage(rows, m, mark) for m in methods)]))
+        lines.append("")
+    lines += ["## Probability of improvement on the autonomous test return", ""]
     lines += _table_head(["X over Y", "P(X > Y) [95 % interval]", "paired seeds"])
     lines += [_improvement(rows, x, y) for x, y in PAIRS]
     return "\n".join([*lines, ""])

@@ -29,8 +29,9 @@ from hitl_jax.analysis.figure_style import (
     panels,
     save,
 )
-from hitl_jax.analysis.summary import STEPS_PER_SECOND
+from hitl_jax.analysis.task_facts import steps_per_second_of
 from hitl_jax.results.atomic_files import named_errors, read_bytes
+from hitl_jax.results.episode_measures import ALARM_WINDOW
 from hitl_jax.results.episode_tables import METHODS, cells_from_csv, finite
 from hitl_jax.results.folder import ResultsFolder
 
@@ -79,7 +80,8 @@ def draw(folder: ResultsFolder) -> Drawn:
     warnings, precision, reliability = load_all(folder)
 
     def make() -> list[pathlib.Path] | None:
-        figure = _figure(warnings, precision, reliability)
+        rate = steps_per_second_of(folder.load_config())
+        figure = _figure(warnings, precision, reliability, rate)
         return None if figure is None else save(figure, folder.path / "figures" / _NAME)
 
     return attempt({_NAME: make})
@@ -161,7 +163,7 @@ def _looks_of(names: list[str]) -> dict[str, dict[str, Any]]:
     return looks | ({LEARNED: _LEARNED_LOOKS} if LEARNED in names else {})
 
 
-def _figure(warnings: Rows, precision: Rows, reliability: Rows) -> Figure | None:
+def _figure(warnings: Rows, precision: Rows, reliability: Rows, rate: float) -> Figure | None:
     """None where no indicator has enough falls."""
     methods = [method for method in METHODS if _enough_falls(only(warnings, method=method))]
     if not methods:
@@ -171,6 +173,7 @@ def _figure(warnings: Rows, precision: Rows, reliability: Rows) -> Figure | None
     figure, axes_of = panels(2, columns, (PAGE, 5.4))
     above, below = axes_of[:columns], axes_of[columns:]
     looks_of = _looks_of(list(dict.fromkeys(warnings["indicator"].tolist())))
+    window = f"{ALARM_WINDOW / rate:g} s"
     lines = {}
     for warned, precise, method in zip(above, below, methods, strict=False):
         for name, looks in looks_of.items():
@@ -182,11 +185,11 @@ def _figure(warnings: Rows, precision: Rows, reliability: Rows) -> Figure | None
         warned.set(xscale="log", ylim=(0.0, 1.03), xlabel="false alarms\n[share of quiet steps]")
         warned.set_title(method.upper(), fontsize=9, color=COLOURS[method])
         precise.set(
-            ylim=(0.0, 1.03), xlabel="steps within 1 s of a fall\nthat have an alarm [share]"
+            ylim=(0.0, 1.03), xlabel=f"steps within {window} of a fall\nthat have an alarm [share]"
         )
-    early = f"{EARLY / STEPS_PER_SECOND:g} s"
+    early = f"{EARLY / rate:g} s"
     above[0].set_ylabel(f"falls warned of\nat least {early} before [share]")
-    below[0].set_ylabel("alarms within 1 s\nof a fall [share]")
+    below[0].set_ylabel(f"alarms within {window}\nof a fall [share]")
     if tells_risk:
         _draw_reliability(above[-1], reliability)
         below[-1].set_axis_off()

@@ -25,6 +25,9 @@ _LONGEST = 100
 """Of a name from somebody else's file in a message."""
 
 _IMPORTED = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
+_NAMES_CODE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:")
+"""Of what names a module's code: a choice, or an environment that a module registers."""
+
 _NAME = re.compile(r"\w[\w.+-]*")
 _REGISTRIES: "list[Registry[Any]]" = []
 
@@ -265,6 +268,11 @@ def is_imported(choice: Any) -> bool:
     return isinstance(choice, str) and _IMPORTED.fullmatch(choice) is not None
 
 
+def names_code(choice: Any) -> bool:
+    """Whether a name makes a module be imported: a choice, or `module:Name-v0`."""
+    return isinstance(choice, str) and _NAMES_CODE.match(choice) is not None
+
+
 def require_trusted(source: object, values: Mapping[str, Any]) -> None:
     """Refuses code that somebody else's file names; to be called before a team is made of a file.
 
@@ -280,7 +288,7 @@ def require_trusted(source: object, values: Mapping[str, Any]) -> None:
     named: dict[str, str] = {}
     for option, value in values.items():
         for choice in value if isinstance(value, tuple) else (value,):
-            if is_imported(choice) and (module := choice.partition(":")[0]) not in trusted:
+            if names_code(choice) and (module := choice.partition(":")[0]) not in trusted:
                 named[f"{option} {choice[:_LONGEST]}"] = module[:_LONGEST]
     if named:
         new = list(dict.fromkeys(named.values()))

@@ -13,11 +13,12 @@ from hitl_jax.choices.checks import require
 from hitl_jax.console.cli import checking_input, refusing
 from hitl_jax.console.output import say
 from hitl_jax.playback import film
-from hitl_jax.playback.episodes import differences, playing_backend, require_repeatable
+from hitl_jax.playback.episodes import differences, env_of, playing_backend, require_repeatable
 from hitl_jax.playback.load_trained import agent_of, load_trained, require_same_human
 from hitl_jax.playback.replay import Phase, find_episode, find_run, make_film
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.sweep.compile_cache import keep_programs
+from hitl_jax.tasks import task_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,8 +78,9 @@ def main(options: ReplayOptions) -> int:
         phase = "training" if options.phase == "training" else f"{options.phase} test"
         title = f"{key.method.upper()}, seed {key.seed}, {phase}, episode {number}"
         sees_risk, backend = agent.risk_learner is not None, playing_backend(folder)
+        env_id = task_of(env_of(folder)).env_id
         params = load_trained(agent, folder, key)[1].behavior if sees_risk else None
-        returned = make_film(agent, params, backend, found, out, title, options.width)
+        returned = make_film(agent, params, backend, env_id, found, out, title, options.width)
         print(out)
         again = f"{returned:.3f}"
         if returned == found.recorded:

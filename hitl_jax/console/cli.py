@@ -107,7 +107,8 @@ def parse(options: type[T], args: Sequence[str], prog: str = "hitl-jax") -> T:
     defaults: Callable[[Sequence[str]], T] | None = getattr(options, "defaults", None)
     given: dict[str, Any] = {"args": args, "prog": prog}
     if defaults is not None:
-        given["default"] = defaults(args)
+        with checking_input():
+            given["default"] = defaults(args)
     try:
         with contextlib.redirect_stderr(io.StringIO()), checking_input():
             return tyro.cli(options, **given)

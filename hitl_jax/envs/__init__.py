@@ -10,7 +10,6 @@ from hitl_jax.choices.registry import Registry, having
 from hitl_jax.envs import box2d
 from hitl_jax.envs.base import Command, StepBatch, WalkerPool
 from hitl_jax.errors import Unplayable, WalkerError
-from hitl_jax.results.episode_measures import UNKNOWN_ENDS, WALKER_ENDS, EndRule
 from hitl_jax.xla.cores import num_cores
 
 BACKENDS: Registry[WalkerPool] = Registry(
@@ -42,8 +41,10 @@ __all__ = [
 ]
 
 
-def default_backend() -> str:
-    """`lean`, or `jax` where Box2D cannot be imported."""
+def default_backend(env_id: str = WALKER) -> str:
+    """Of `OUR_WALKERS` `lean`, or `jax` where Box2D cannot be imported; else `gymnasium`."""
+    if env_id not in OUR_WALKERS:
+        return "gymnasium"
     return "lean" if box2d.missing() is None else "jax"
 
 
@@ -86,7 +87,8 @@ def make_pool(
         num_walkers: N, a whole number.
         num_workers: processes, or threads of `envpool`, or CPU devices of `jax`, at most N are
             used; by default one for each core that this process may use.
-        env_id: an environment with flat observations and flat continuous actions of finite bounds.
+        env_id: an environment with flat observations and flat continuous actions of finite bounds,
+            or `module:name` of a `hitl_jax.tasks.Task`.
             With `gymnasium` one of your own is `module:Name-v0`: the worker processes import the
             module, which registers it, and each episode is played in a new environment. One whose
             episodes do not follow from their seeds and actions (running statistics) is refused.
@@ -112,9 +114,15 @@ def make_pool(
             "a walker's process makes no pools; the module that registers an environment must not "
             "make one when it is imported: put that under `if __name__ == '__main__':`",
         )
-    return BACKENDS.make(
-        backend, num_walkers=num_walkers, num_workers=num_workers, env_id=env_id, seed=seed
+    from hitl_jax.tasks import task_of  # It imports JAX, which a walker's process does without.
+
+    task = task_of(env_id)
+    pool = BACKENDS.make(
+        backend, num_walkers=num_walkers, num_workers=num_workers, env_id=task.env_id, seed=seed
     )
+    if backend in BACKENDS:
+        pool.ends = task.ends
+    return pool
 
 
 @BACKENDS.register("lean", "equal to gymnasium's walker bit for bit, and twice as fast")
@@ -134,9 +142,7 @@ def _gymnasium(num_walkers: int, num_workers: int, env_id: str, seed: int) -> Wa
 def _envpool(num_walkers: int, num_workers: int, env_id: str, seed: int) -> WalkerPool:
     from hitl_jax.envs.envpool_pool import EnvpoolPool
 
-    pool = EnvpoolPool(env_id, num_walkers, num_workers, seed=seed)
-    pool.ends = _ends(env_id)
-    return pool
+    return EnvpoolPool(env_id, num_walkers, num_workers, seed=seed)
 
 
 @BACKENDS.register("jax", "our own, compiled, which agrees with them up to rounding")
@@ -152,14 +158,7 @@ def _workers(backend: str, num_walkers: int, num_workers: int, env_id: str) -> W
     require_backend(backend, env_id)
     from hitl_jax.envs.worker_pool import WorkerPool
 
-    pool = WorkerPool(backend, env_id, num_walkers, num_workers)
-    pool.ends = _ends(env_id)
-    return pool
-
-
-def _ends(env_id: str) -> EndRule:
-    """What the ends of an environment's episodes mean; known of `OUR_WALKERS` alone."""
-    return WALKER_ENDS if env_id in OUR_WALKERS else UNKNOWN_ENDS
+    return WorkerPool(backend, env_id, num_walkers, num_workers)
 
 
 def _require_ours(backend: str, env_id: str) -> None:

@@ -27,19 +27,34 @@ LEAST = "least_expectation"
 """Name of the option, in `HumanParams.extra`."""
 
 
+Expectation = Callable[[chex.Array], chex.Array]
+"""Maps s_t [O] to the probability of a fall soon, []."""
+
+
 def expectation(observation: chex.Array) -> chex.Array:
     """The probability of a fall within a second, to one who has seen many walkers fall, [].
 
     Args:
         observation: s_t, [24].
     """
-    return jax.nn.sigmoid(_logit()(observation))
+    return expectation_of(FILE)(observation)
 
 
 @functools.cache
-def _logit() -> Callable[[chex.Array], chex.Array]:
-    network, (*hidden, _) = shipped_network.load(FILE, PREFIX)
-    return functools.partial(row_by_row(RiskNetwork(tuple(hidden)).apply), network)
+def expectation_of(file: str, package: str = "hitl_jax.human") -> Expectation:
+    """What one expects who has seen what a file's network was fitted to.
+
+    Args:
+        file: of a `RiskNetwork`, see `shipped_network.load`.
+        package: where it is.
+    """
+    network, (*hidden, _) = shipped_network.load(file, PREFIX, package)
+    logit = functools.partial(row_by_row(RiskNetwork(tuple(hidden)).apply), network)
+
+    def expected(observation: chex.Array) -> chex.Array:
+        return jax.nn.sigmoid(logit(observation))
+
+    return expected
 
 
 @DANGER_MODELS.register(
@@ -47,12 +62,22 @@ def _logit() -> Callable[[chex.Array], chex.Array]:
 )
 def experienced() -> HumanPart:
     """Danger is a fall within a second that is expected with at least `least_expectation`."""
+    return expecting(expectation, WALKER_OBSERVATION)
+
+
+def expecting(expected: Expectation, observation_size: int) -> HumanPart:
+    """Danger is what is expected with at least `least_expectation`.
+
+    Args:
+        expected: by this human.
+        observation_size: O.
+    """
 
     def rule(
         params: HumanParams, observation: chex.Array, dangerous: chex.Array, key: chex.PRNGKey
     ) -> chex.Array:
         del dangerous, key
-        return expectation(observation) >= params.extra[LEAST]
+        return expected(observation) >= params.extra[LEAST]
 
     least = Option(LEAST, 0.05, "probability from which a fall is expected", "1", 0.0, 1.0)
-    return memoryless(rule, WALKER_OBSERVATION, (least,))
+    return memoryless(rule, observation_size, (least,))

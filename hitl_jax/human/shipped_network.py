@@ -8,18 +8,19 @@ import numpy as np
 from hitl_jax.types import Params
 
 
-def load(file: str, prefix: str) -> tuple[Params, list[int]]:
+def load(file: str, prefix: str, package: str = "hitl_jax.human") -> tuple[Params, list[int]]:
     """Parameters of a stack of dense layers.
 
     Args:
-        file: in this folder; arrays `PREFIX/params/Dense_N/kernel` and `.../bias`, float32.
+        file: arrays `PREFIX/params/Dense_N/kernel` and `.../bias`, float32.
         prefix: of their names.
+        package: where the file is.
 
     Returns:
         The parameters, kernels [I, O] and biases [O], and the width O of each layer.
     """
     layers: dict[str, dict[str, np.ndarray]] = {}
-    with np.load(io.BytesIO((resources.files("hitl_jax.human") / file).read_bytes())) as arrays:
+    with np.load(io.BytesIO((resources.files(package) / file).read_bytes())) as arrays:
         for name in arrays:
             if name.startswith(f"{prefix}/"):
                 _, _, layer, part = name.split("/")

@@ -7,7 +7,7 @@ from hitl_jax.human.actions import ACTION_SOURCES, ActionSource, policy
 from hitl_jax.human.indicator import WALKER_OBSERVATION
 from hitl_jax.learner.networks import Actor
 
-FILE, PREFIX = "trained_walker.npz", "actor"
+FILE, PREFIX = "hands.npz", "actor"
 """Where its parameters are; the file is like a run's params.npz."""
 
 
@@ -17,10 +17,23 @@ def _trained(action_size: int) -> ActionSource:
     return trained_walker()
 
 
-@functools.cache
 def trained_walker() -> ActionSource:
     """A walker for BipedalWalker-v3 that goes on where others have stumbled."""
-    params, (*hidden, action_size) = shipped_network.load(FILE, PREFIX)
+    return trained_hands(FILE, WALKER_OBSERVATION)
+
+
+@functools.cache
+def trained_hands(
+    file: str, observation_size: int, package: str = "hitl_jax.human"
+) -> ActionSource:
+    """Hands whose actions a trained actor gives.
+
+    Args:
+        file: of an `Actor`, see `shipped_network.load`.
+        observation_size: O.
+        package: where it is.
+    """
+    params, (*hidden, action_size) = shipped_network.load(file, PREFIX, package)
     return policy(Actor(tuple(hidden), action_size).apply, params)._replace(
-        observation_size=WALKER_OBSERVATION, action_size=action_size
+        observation_size=observation_size, action_size=action_size
     )

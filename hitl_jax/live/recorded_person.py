@@ -7,7 +7,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from hitl_jax.config import AgentConfig, Hyper, require_trusted_choices
+from hitl_jax.choices.registry import require_trusted
+from hitl_jax.config import AgentConfig, Hyper
 from hitl_jax.errors import InvalidValue, ResultsError
 from hitl_jax.human.fit import FittedHuman, fit_human
 from hitl_jax.human.indicator import hull_angle, weighted
@@ -93,7 +94,7 @@ def options_from(
         begun = options_of(completed(told), _Begun)
     except ValueError as error:
         raise ResultsError(f"{path}: is no journal of a live session: {error}") from error
-    require_trusted_choices(path, begun.agent)
+    require_trusted(path, vars(begun.agent))
     return LiveOptions(
         mode=begun.mode,
         start=start,

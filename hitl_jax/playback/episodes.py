@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hitl_jax.choices.registry import require_trusted
-from hitl_jax.envs import BACKENDS, WalkerPool, make_pool, require_backend
+from hitl_jax.envs import BACKENDS, OUR_WALKERS, WALKER, WalkerPool, make_pool, require_backend
 from hitl_jax.envs.base import require_sizes
 from hitl_jax.envs.episode_log import playback
 from hitl_jax.errors import InvalidValue, ResultsError
@@ -20,6 +20,7 @@ from hitl_jax.results.folder import ResultsFolder, Run
 from hitl_jax.results.provenance import origin
 from hitl_jax.results.recorded_episodes import Recording
 from hitl_jax.results.run_key import RunKey
+from hitl_jax.tasks import task_of
 from hitl_jax.team.agent import Agent
 from hitl_jax.training.run_spec import episode_seed
 from hitl_jax.training.step_booking import recorded_steps
@@ -99,18 +100,27 @@ def play_tests(
     ]
 
 
+def env_of(folder: ResultsFolder) -> str:
+    """The task of a folder, see `task_of`."""
+    env: str = folder.load_config().get("task", {}).get("env", WALKER)
+    return env
+
+
 def playing_backend(folder: ResultsFolder) -> str:
     """On which backend episodes of a folder are played again; a pool of one's own is its own.
 
     Raises:
         ResultsError: in one line, if that cannot be had here, or is code that is not trusted.
     """
-    made = folder.load_config().get("backend", "lean")
-    backend = "lean" if made in _ON_LEAN else made
-    require_trusted(folder.path / "config.json", {"backend": backend})
+    made, env = folder.load_config().get("backend", "lean"), env_of(folder)
+    backend = made
+    require_trusted(folder.path / "config.json", {"backend": backend, "env": env})
     try:
         BACKENDS.check(backend)
-        require_backend(backend)
+        played = task_of(env).env_id
+        if made in _ON_LEAN and played in OUR_WALKERS:
+            backend = "lean"
+        require_backend(backend, played)
     except (InvalidValue, ImportError) as error:
         raise ResultsError(f"{folder.path}: made with --backend {made}: {error}") from error
     return backend
@@ -131,7 +141,8 @@ def playing_pool(folder: ResultsFolder, agent: Agent, num_walkers: int) -> Itera
     backend, config = playing_backend(folder), agent.config
     with contextlib.ExitStack() as held:
         try:
-            pool = held.enter_context(contextlib.closing(make_pool(backend, num_walkers)))
+            pool = make_pool(backend, num_walkers, env_id=env_of(folder))
+            held.enter_context(contextlib.closing(pool))
             require_sizes(pool, config.observation_size, config.action_size)
         except InvalidValue as error:
             raise ResultsError(f"{folder.path}: made with --backend {backend}: {error}") from error

@@ -9,10 +9,10 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from hitl_jax.analysis.figure_style import COLOURS, GREY, import_matplotlib
-from hitl_jax.envs import Command
+from hitl_jax.envs import WALKER, Command
 from hitl_jax.envs.jax_pool import JaxPool
 from hitl_jax.envs.visible_walker import StepResult, VisibleWalker
-from hitl_jax.errors import InvalidValue
+from hitl_jax.errors import InvalidValue, ResultsError, said_by
 from hitl_jax.playback.draw_walker import Stage
 from hitl_jax.results.atomic_files import write_bytes_atomic
 from hitl_jax.results.recorded_episodes import Recording
@@ -51,11 +51,12 @@ Steps = Iterator[tuple[Any, Any, float]]
 """For each step s_t [O], a picture of it or None, and r_t."""
 
 
-def play(backend: str, seed: int, actions: np.ndarray, pictures: bool = True) -> Steps:
+def play(backend: str, env_id: str, seed: int, actions: np.ndarray, pictures: bool = True) -> Steps:
     """Plays an episode again.
 
     Args:
-        backend: `jax`, or else Box2D's walker.
+        backend: that plays.
+        env_id: gymnasium's name of the environment.
         seed: reset seed.
         actions: executed actions, [T, A].
         pictures: whether to draw.
@@ -65,7 +66,11 @@ def play(backend: str, seed: int, actions: np.ndarray, pictures: bool = True) ->
 
     Raises:
         ImportError: if Box2D is needed and missing; one line that says what to install.
+        ResultsError: one line, if the environment cannot draw itself here.
     """
+    if env_id != WALKER:
+        yield from _played_by_gymnasium(env_id, seed, actions, pictures)
+        return
     plant = _JaxPlant() if backend == "jax" else VisibleWalker()
     observation = plant.reset(seed)
     stage = Stage(**plant.terrain()) if pictures else None
@@ -74,6 +79,27 @@ def play(backend: str, seed: int, actions: np.ndarray, pictures: bool = True) ->
         answer = plant.step(action)
         yield observation, picture, answer.reward
         observation = answer.observation
+
+
+def _played_by_gymnasium(env_id: str, seed: int, actions: np.ndarray, pictures: bool) -> Steps:
+    """As the environment draws itself."""
+    import gymnasium
+
+    from hitl_jax.envs.spaces import action_map
+
+    try:
+        mode = "rgb_array" if pictures else None
+        env = gymnasium.make(env_id, disable_env_checker=True, render_mode=mode)
+        observation, _ = env.reset(seed=seed)
+        scaled = action_map(env_id, env.action_space)(actions)
+        for action in scaled:
+            picture = Image.fromarray(np.asarray(env.render())) if pictures else None
+            after, reward, *_ = env.step(action)
+            yield observation, picture, float(np.float32(np.asarray(reward).item()))
+            observation = after
+        env.close()
+    except (gymnasium.error.Error, ImportError, RuntimeError, AttributeError) as error:
+        raise ResultsError(f"{env_id} cannot be drawn here: {said_by(error)}") from error
 
 
 class _JaxPlant:

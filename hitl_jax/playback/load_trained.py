@@ -3,14 +3,8 @@
 from collections.abc import Callable
 from typing import TypeVar
 
-from hitl_jax.config import (
-    AgentConfig,
-    Hyper,
-    Method,
-    hyper_for,
-    require_trusted_choices,
-    validate_hyper,
-)
+from hitl_jax.choices.registry import require_trusted
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for, validate_hyper
 from hitl_jax.errors import InvalidValue, ResultsError
 from hitl_jax.results.atomic_files import named_errors
 from hitl_jax.results.folder import ResultsFolder
@@ -39,8 +33,9 @@ def agent_of(folder: ResultsFolder, human_policy: str | None = None) -> Agent:
         ValueError: if the file is no such checkpoint.
     """
     config = section_of(folder, "agent", AgentConfig)
-    backend = folder.load_config().get("backend")
-    require_trusted_choices(folder.path / "config.json", config, backend)
+    made = folder.load_config()
+    places = {"backend": made.get("backend"), "env": made.get("task", {}).get("env")}
+    require_trusted(folder.path / "config.json", vars(config) | places)
     return make_team(config, human_policy, recorded_human.load_from_results(folder))
 
 

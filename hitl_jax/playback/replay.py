@@ -109,6 +109,7 @@ def make_film(
     agent: Agent,
     params: Behavior | None,
     backend: str,
+    env_id: str,
     found: Found,
     out: pathlib.Path,
     title: str,
@@ -120,6 +121,7 @@ def make_film(
         agent: whose indicator is shown.
         params: of the trained run, by which a learned indicator tells the risk; else None.
         backend: that plays.
+        env_id: gymnasium's name of the environment.
         found: the episode.
         out: the film.
         title: over it.
@@ -132,14 +134,14 @@ def make_film(
         ResultsError: if it cannot be written.
     """
     seed, episode, _ = found
-    steps = list(film.play(backend, seed, episode.actions, pictures=False))
+    steps = list(film.play(backend, env_id, seed, episode.actions, pictures=False))
     observations = np.array([observation for observation, _, _ in steps])
     returns = list(itertools.accumulate(reward for _, _, reward in steps))
     indicate = jax.vmap(agent.safety_indicator, in_axes=(None, 0))
     indicators = np.asarray(indicate(params, observations))
     name = agent.config.indicator.replace("_", " ")
     unit = unit_of(agent.config.indicator).removesuffix("1")
-    drawn = film.play(backend, seed, episode.actions)
+    drawn = film.play(backend, env_id, seed, episode.actions)
     pictures = ((picture, total) for (_, picture, _), total in zip(drawn, returns, strict=True))
     caption = film.Caption(title, name, unit, indicators, _SPAN)
     film.write(out, film.annotate(pictures, episode, caption), width)

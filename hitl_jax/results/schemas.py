@@ -41,9 +41,16 @@ class _Hyper(Struct):
     human: _Human | UnsetType = UNSET
 
 
+class _Task(Struct):
+    env: Text
+    solved: float | UnsetType | None = UNSET
+    steps_per_second: Annotated[float, Meta(gt=0.0)] | UnsetType = UNSET
+
+
 class KnownConfig(Struct):
     """What of a config is used without the whole being that of a sweep."""
 
+    task: _Task | UnsetType = UNSET
     backend: Text | UnsetType = UNSET
     episodes: Positive | UnsetType = UNSET
     test_episodes: Count | UnsetType = UNSET

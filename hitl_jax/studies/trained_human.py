@@ -1,16 +1,16 @@
-"""How the trained human that comes with the package is made: what they expect, and their hands.
+"""How the trained humans that come with the package are made: what they expect, and their hands.
 
-A crew of mediocre walkers, of two kinds of learner, is trained first. What came of the poses of its
-members is what the human has seen (`human.experience`). Then new walkers learn to walk while
-members of the crew take the controls now and then, and give them back where the human expects a
-fall, or at some time before. What a member does is in the replay, so that a walker learns from it,
-and what it learns is to recover. Of several, the one whose tests with the crew have the greatest
-return becomes the hands (`human.trained_walker`).
+Of any task (`hitl_jax.tasks`). A crew of mediocre walkers, of two kinds of learner, is trained
+first. What came of the poses of its members is what the human has seen (`human.experience`). Then
+new walkers learn to walk while members of the crew take the controls now and then, and give them
+back where the human expects a fall, or at some time before. What a member does is in the replay,
+so that a walker learns from it, and what it learns is to recover. Of several, the one whose tests
+with the crew have the greatest return becomes the hands (`human.trained_walker`).
 """
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import chex
 import jax
@@ -19,20 +19,19 @@ import numpy as np
 import optax
 
 from hitl_jax.analysis.early_warnings import steps_to_fall
-from hitl_jax.config import Method, hyper_for
-from hitl_jax.envs import make_pool
+from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
+from hitl_jax.envs import default_backend, make_pool
 from hitl_jax.evaluation.host import HostExaminer, play_trial
 from hitl_jax.evaluation.trials import Trial
-from hitl_jax.human.actions import ActionSource
-from hitl_jax.human.indicator import WALKER_OBSERVATION
+from hitl_jax.human.actions import ActionSource, still
 from hitl_jax.human.params import HumanParams
-from hitl_jax.human.part import HumanPart, unmoved
+from hitl_jax.human.part import HumanPart, memoryless, unmoved
 from hitl_jax.learner import adam
 from hitl_jax.learner.networks import Actor, RiskNetwork
-from hitl_jax.results.episode_measures import ALARM_WINDOW
-from hitl_jax.sweep.changes import changed
+from hitl_jax.sweep.changes import Changes, of_task
 from hitl_jax.sweep.presets import PAPER
 from hitl_jax.sweep.train_and_test import Batch, Tested, Walkers, train_and_test
+from hitl_jax.tasks import task_of
 from hitl_jax.team.agent import Agent, make_agent
 from hitl_jax.training.rollout import Rollout
 from hitl_jax.training.run_spec import LoopConfig, RunSpec
@@ -67,24 +66,54 @@ EXPERIENCE_SIZES = (64, 64)
 
 _BATCH, _LEARNING_RATE, _UPDATES = 512, 1e-3, 20_000
 
-_BASE = changed(PAPER | {"learner": "td3-tqc"})
+_ALL: Changes = PAPER | {"learner": "td3-tqc"}
 """Named, so that the human does not depend on the defaults."""
-
-_HYPER = dataclasses.replace(
-    _BASE.hyper,
-    boundary_low=0.0,
-    initial_boundary=0.0,  # An alarm at every step.
-    feedback=0.0,
-    takeover_steps=1,
-)
 
 Watch = Callable[[Rollout], None]
 
 
-def train_crew(episodes: int, test_episodes: int, watch: Watch) -> list[Tested]:
+class Base(NamedTuple):
+    """What all walkers of a task's human are trained with.
+
+    Attributes:
+        env: the task, see `hitl_jax.tasks.task_of`.
+        agent: static choices.
+        hyper: the numbers.
+    """
+
+    env: str
+    agent: AgentConfig
+    hyper: Hyper
+
+    def team(
+        self, judge: HumanPart | None = None, source: ActionSource | None = None, **changes: Any
+    ) -> Agent:
+        """A team in which nobody judges, and hands are still, unless somebody is given."""
+        config = dataclasses.replace(self.agent, **changes)
+        return make_agent(
+            config, judge=judge or _nobody(), source=source or still(config.action_size)
+        )
+
+
+def _nobody() -> HumanPart:
+    return memoryless(lambda params, observation, dangerous, key: jnp.zeros((), bool))
+
+
+def base_of(env: str) -> Base:
+    """What all walkers of a task's human are trained with.
+
+    Raises:
+        ValueError: one line, if the task cannot be had.
+    """
+    parts = of_task(env, _ALL)
+    return Base(env, parts.agent, parts.hyper)
+
+
+def train_crew(base: Base, episodes: int, test_episodes: int, watch: Watch) -> list[Tested]:
     """Trains the walkers that stumble.
 
     Args:
+        base: of `base_of`.
         episodes: training episodes of each of `ddpg`; of `td3-tqc` half as many.
         test_episodes: of each.
         watch: see `train_and_test`.
@@ -92,23 +121,29 @@ def train_crew(episodes: int, test_episodes: int, watch: Watch) -> list[Tested]:
     Returns:
         Ended runs, each with a snapshot at every eighth of its training.
     """
-    hyper = hyper_for(Method.SRL, _BASE.hyper)
+    hyper = hyper_for(Method.SRL, base.hyper)
     crew: list[Tested] = []
     for learner, (seeds, share) in CREW.items():
         last = int(episodes * share)
         points = tuple(last * part // _SNAPSHOTS for part in range(1, _SNAPSHOTS + 1))
         specs = [RunSpec(Method.SRL, seed, hyper, last, points) for seed in seeds]
-        agent = make_agent(dataclasses.replace(_BASE.agent, learner=learner))
-        crew += _trained(f"crew-{learner}", agent, specs, test_episodes, watch)
+        agent = base.team(learner=learner)
+        crew += _trained(base, f"crew-{learner}", agent, specs, test_episodes, watch)
     return crew
 
 
 def train_hands(
-    crew: Sequence[Tested], expects: Params, episodes: int, test_episodes: int, watch: Watch
+    base: Base,
+    crew: Sequence[Tested],
+    expects: Params,
+    episodes: int,
+    test_episodes: int,
+    watch: Watch,
 ) -> list[Tested]:
     """Trains walkers that are given the controls by a crew.
 
     Args:
+        base: of `base_of`.
         crew: of `train_crew`.
         expects: of `gain_experience`.
         episodes: training episodes of each.
@@ -121,24 +156,47 @@ def train_hands(
     policies = [
         kept.behavior.actor for one in crew for kept in one.finished.run.snapshots[_RELAYING]
     ]
-    config = dataclasses.replace(_BASE.agent, intervention="takeover")
-    agent = make_agent(config, judge=relay(expects), source=crew_actions(policies))
-    hyper = hyper_for(Method.HITL_FIX, _HYPER)
-    specs = [RunSpec(Method.HITL_FIX, seed, hyper, episodes) for seed in HANDS_SEEDS]
-    return _trained("hands", agent, specs, test_episodes, watch)
+    sizes = base.agent.observation_size, base.agent.action_size
+    agent = base.team(
+        relay(expects, sizes[0]), crew_actions(policies, *sizes), intervention="takeover"
+    )
+    hyper = dataclasses.replace(
+        base.hyper,
+        boundary_low=0.0,
+        initial_boundary=0.0,  # An alarm at every step.
+        feedback=0.0,
+        takeover_steps=1,
+    )
+    specs = [
+        RunSpec(Method.HITL_FIX, seed, hyper_for(Method.HITL_FIX, hyper), episodes)
+        for seed in HANDS_SEEDS
+    ]
+    return _trained(base, "hands", agent, specs, test_episodes, watch)
 
 
 def _trained(
-    name: str, agent: Agent, specs: Sequence[RunSpec], test_episodes: int, watch: Watch
+    base: Base,
+    name: str,
+    agent: Agent,
+    specs: Sequence[RunSpec],
+    test_episodes: int,
+    watch: Watch,
 ) -> list[Tested]:
-    walkers = Walkers("lean", len(specs), None, test_episodes)
+    walkers = Walkers(_backend(base.env), len(specs), None, test_episodes, base.env)
     return list(train_and_test(Batch(name, agent, specs, LoopConfig(), walkers), watch))
 
 
-def gain_experience(crew: Sequence[Tested], episodes: int, say: Callable[[str], None]) -> Params:
+def _backend(env: str) -> str:
+    return default_backend(task_of(env).env_id)
+
+
+def gain_experience(
+    base: Base, crew: Sequence[Tested], episodes: int, say: Callable[[str], None]
+) -> Params:
     """Fits what a human expects to what came of the crew's poses, when each member walked alone.
 
     Args:
+        base: of `base_of`.
         crew: of `train_crew`.
         episodes: that are watched of each member.
         say: is told how much was seen, and the loss at the end.
@@ -146,18 +204,17 @@ def gain_experience(crew: Sequence[Tested], episodes: int, say: Callable[[str], 
     Returns:
         Parameters of a `RiskNetwork` of `EXPERIENCE_SIZES`.
     """
-    agent = make_agent(_BASE.agent)  # Tests ask it for actors alone, and these are alike.
+    agent = base.team()  # Tests ask it for actors alone, and these are alike.
     seen: list[np.ndarray] = []
     falls: list[np.ndarray] = []
-    with make_pool("lean", episodes * _SNAPSHOTS) as pool:
+    with make_pool(_backend(base.env), episodes * _SNAPSHOTS, env_id=base.env) as pool:
         examiner = HostExaminer(agent, pool)
         for one in crew:
             run = one.finished.run
-            poses, to_fall = _watched(
-                examiner, Trial("autonomous", run.spec, run.snapshots, episodes)
-            )
+            trial = Trial("autonomous", run.spec, run.snapshots, episodes)
+            poses, to_fall = _watched(examiner, trial, base.agent.observation_size)
             seen.append(poses)
-            falls.append(to_fall <= ALARM_WINDOW)
+            falls.append(to_fall <= round(task_of(base.env).steps_per_second))
     poses, fell = np.concatenate(seen), np.concatenate(falls)
     params, loss = _fitted(jnp.asarray(poses), jnp.asarray(fell, jnp.float32), jax.random.key(0))
     say(f"seen {len(poses):,} poses, {fell.mean():.3f} of them within a second of a fall")
@@ -165,13 +222,15 @@ def gain_experience(crew: Sequence[Tested], episodes: int, say: Callable[[str], 
     return params
 
 
-def _watched(examiner: HostExaminer, trial: Trial) -> tuple[np.ndarray, np.ndarray]:
+def _watched(
+    examiner: HostExaminer, trial: Trial, observation_size: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Poses [T, O] of all episodes of a trial, one after the other, and the steps to a fall [T]."""
     steps: list[np.ndarray] = []
 
     def watch(decided: np.ndarray, active: np.ndarray) -> None:
         del active  # The rows tell how long each episode was.
-        steps.append(decided[:, :WALKER_OBSERVATION].copy())
+        steps.append(decided[:, :observation_size].copy())
 
     rows = play_trial(examiner, trial, watch)
     poses = [
@@ -214,11 +273,12 @@ def best_hands(hands: Sequence[Tested]) -> Tested:
     return max(hands, key=lambda one: mean_return(one, "assisted"))
 
 
-def relay(expects: Params) -> HumanPart:
+def relay(expects: Params, observation_size: int) -> HumanPart:
     """Who judges for a crew: dangerous, and so in its hands, from a random step to a stumble.
 
     Args:
         expects: of `gain_experience`: what tells a stumble.
+        observation_size: O.
     """
     logit_of = row_by_row(RiskNetwork(EXPERIENCE_SIZES).apply)
 
@@ -246,18 +306,22 @@ def relay(expects: Params) -> HumanPart:
         begin_episode=lambda state: (jnp.ones((), bool), state[1]),
         judge=judge,
         notify=unmoved,
-        observation_size=WALKER_OBSERVATION,
+        observation_size=observation_size,
     )
 
 
-def crew_actions(policies: Sequence[Params]) -> ActionSource:
+def crew_actions(
+    policies: Sequence[Params], observation_size: int, action_size: int
+) -> ActionSource:
     """Actions of a crew, one member after another at random.
 
     Args:
         policies: parameters of an `Actor`, of equal widths.
+        observation_size: O.
+        action_size: A.
     """
     every = jax.tree.map(lambda *leaves: np.stack(leaves), *policies)
-    *hidden, action_size = (
+    *hidden, _ = (
         len(policies[0]["params"][f"Dense_{place}"]["bias"])
         for place in range(len(policies[0]["params"]))
     )
@@ -276,6 +340,6 @@ def crew_actions(policies: Sequence[Params]) -> ActionSource:
         init=lambda: jnp.zeros((), jnp.int32),
         begin_episode=lambda member: member,
         act=act,
-        observation_size=WALKER_OBSERVATION,
+        observation_size=observation_size,
         action_size=action_size,
     )

@@ -4,7 +4,9 @@ import dataclasses
 from typing import Any, NamedTuple
 
 from hitl_jax.config import AgentConfig, Hyper, validate_hyper
+from hitl_jax.errors import InvalidValue
 from hitl_jax.human.judgement import HumanParams
+from hitl_jax.tasks import task_of
 from hitl_jax.training.run_spec import LoopConfig
 
 Changes = dict[str, Any]
@@ -25,6 +27,23 @@ class Parts(NamedTuple):
     loop: LoopConfig
     hyper: Hyper
     human_policy: str | None
+
+
+def of_task(env: str, changes: Changes) -> Parts:
+    """The defaults of a task with some changes; where both name an option, the task's holds.
+
+    Args:
+        env: see `task_of`.
+        changes: of presets.
+
+    Raises:
+        ValueError: one line, if the task cannot be had, or changes what is no option.
+    """
+    task = task_of(env)
+    try:
+        return changed(changes | dict(task.changes))
+    except ValueError as error:
+        raise InvalidValue("env", env, f"its task changes options: {error}") from error
 
 
 def changed(changes: Changes) -> Parts:

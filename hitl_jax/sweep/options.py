@@ -20,19 +20,21 @@ from hitl_jax.choices.checks import (
 from hitl_jax.choices.fields import choice, described
 from hitl_jax.choices.registry import is_imported
 from hitl_jax.config import LAST, AgentConfig, Hyper, Method, hyper_for, validate_hyper
-from hitl_jax.envs import BACKENDS
+from hitl_jax.envs import BACKENDS, OUR_WALKERS, WALKER
 from hitl_jax.errors import InvalidValue
 from hitl_jax.evaluation.trials import MOST_TEST_EPISODES, milestones
 from hitl_jax.learner.frame import Layout
 from hitl_jax.sweep import recorded_human, shards
 from hitl_jax.sweep.autosave import SAVE_SECONDS
-from hitl_jax.sweep.changes import Parts, changed
+from hitl_jax.sweep.changes import Parts, of_task
 from hitl_jax.sweep.launchers import LaunchOptions
-from hitl_jax.sweep.presets import AS_PRESET, HUMAN_PRESETS, PRESETS, Preset
+from hitl_jax.sweep.presets import AS_PRESET, FULL, HUMAN_PRESETS, PRESETS, Preset
 from hitl_jax.sweep.shards import Shard
+from hitl_jax.tasks import TASKS, task_of
 from hitl_jax.training.run_spec import LoopConfig, RunSpec, num_slots
 
 _MOST_WORKERS = 1024
+_OURS_ALONE = ("lean", "jax")
 
 
 @described
@@ -56,7 +58,11 @@ class SweepOptions:
         episodes: training episodes of a run (default: the preset's).
         test_episodes: test episodes of a run, alone and again with the human (default: the
             preset's).
-        backend: what plays the walkers (default: lean, or jax where Box2D cannot be imported):
+        env: the task; or gymnasium's name of another environment with flat observations and bounded
+            continuous actions (`module:Name-v0` if a module registers it), for which indicator,
+            danger and human_actions must be named:
+        backend: what plays the walkers (default: lean, or jax where Box2D cannot be imported; for
+            another task than a BipedalWalker gymnasium):
         workers: processes that step walkers, or CPU devices with `jax` (default: one a core).
         slots: runs at a time, at least two a core; the others wait. Each takes capacity x 148 bytes
             of memory.
@@ -74,13 +80,14 @@ class SweepOptions:
         hyper: numbers that can differ from run to run.
     """
 
-    preset: str = "full"
+    preset: str = FULL
     human_preset: str = AS_PRESET
     methods: tuple[str, ...] = tuple(Method)
     seeds: int | None = None
     first_seed: int = 0
     episodes: int | None = None
     test_episodes: int | None = None
+    env: str = choice(WALKER, TASKS)
     backend: str | None = choice(None, BACKENDS)
     workers: int | None = None
     slots: int = 32
@@ -95,17 +102,24 @@ class SweepOptions:
     hyper: Annotated[Hyper, tyro.conf.arg(name="")] = Hyper()
 
     @classmethod
-    def of_preset(cls, preset: str, human_preset: str = AS_PRESET) -> "SweepOptions":
-        """The options where only presets are given: their changes in the defaults' place.
+    def of_preset(
+        cls, preset: str, human_preset: str = AS_PRESET, env: str = WALKER
+    ) -> "SweepOptions":
+        """The options where only presets and task are given: their changes in the defaults' place.
 
         Args:
             preset: one of `PRESETS`.
             human_preset: one of `HUMAN_PRESETS`.
+            env: see `task_of`.
+
+        Raises:
+            ValueError: one line, if the task cannot be had, or changes what is no option.
         """
-        parts = changed(PRESETS[preset].changes | HUMAN_PRESETS[human_preset])
+        parts = of_task(env, PRESETS[preset].changes | HUMAN_PRESETS[human_preset])
         return cls(
             preset,
             human_preset,
+            env=env,
             human_policy=parts.human_policy,
             agent=parts.agent,
             loop=parts.loop,
@@ -114,17 +128,24 @@ class SweepOptions:
 
     @classmethod
     def defaults(cls, words: Sequence[str]) -> "SweepOptions":
-        """What is not given on a command line: of the presets that it names, the last of each."""
+        """What is not given on a command line: of presets and task that it names, the last of each.
+
+        Raises:
+            ValueError: as `of_preset`.
+        """
         preset = _last_given("preset", words, cls().preset)
         human = _last_given("human-preset", words, AS_PRESET)
         known = preset in PRESETS and human in HUMAN_PRESETS
-        return cls.of_preset(preset, human) if known else cls()
+        return cls.of_preset(preset, human, _last_given("env", words, WALKER)) if known else cls()
 
     def scale(self) -> Preset:
-        """The preset, with what the options say in place of it."""
+        """The preset, with what the task and the options say in place of it."""
         names = ("seeds", "episodes", "test_episodes")
+        preset, episodes = PRESETS[self.preset], task_of(self.env).episodes
+        if episodes is not None and self.preset == FULL:
+            preset = dataclasses.replace(preset, episodes=episodes)
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
-        return dataclasses.replace(PRESETS[self.preset], **given)
+        return dataclasses.replace(preset, **given)
 
     def specs(self) -> list[RunSpec]:
         """The runs, seed after seed: what there is at any time is a fair comparison."""
@@ -153,8 +174,13 @@ class SweepOptions:
         """
         one_of("preset", self.preset, tuple(PRESETS))
         one_of("human_preset", self.human_preset, tuple(HUMAN_PRESETS))
+        played = task_of(self.env).env_id
         if self.backend is not None:
             BACKENDS.check(self.backend)
+            if self.backend in _OURS_ALONE and played not in OUR_WALKERS:
+                why = f"plays {' and '.join(OUR_WALKERS)} alone: must be gymnasium with env "
+                why += self.env
+                raise InvalidValue("backend", self.backend, why, mentions=("env",))
         known = list(Method)
         if not self.methods or any(method not in known for method in self.methods):
             given = " ".join(self.methods) or "(none)"
@@ -174,7 +200,7 @@ class SweepOptions:
             runs = len(self.methods) * scale.seeds
             raise InvalidValue("shard", self.shard, f"has none of the {runs} runs")
         validate_hyper(self.hyper)
-        usual = self.of_preset(self.preset, self.human_preset)
+        usual = self.of_preset(self.preset, self.human_preset, self.env)
         require_hands(self.agent, usual.agent, self.human_policy)
         require_meaning(self.agent, self.hyper)
         if self.hyper.reward_weight == 0.0 and Method.SRL in self.methods:
@@ -190,7 +216,8 @@ class SweepOptions:
                 "has no meaning beside human recorded:FILE, whose judgements are played back",
                 mentions=("human",),
             )
-        require_team(self.agent, self.loop, own=is_imported(self.backend))
+        own = is_imported(self.backend) or played not in OUR_WALKERS
+        require_team(self.agent, self.loop, own)
         if self.launch.launcher == "local":
             require_room(self.agent, self.loop, num_slots(len(self.specs()), self.slots))
         return self

@@ -76,8 +76,9 @@ class Preset:
     changes: Changes = dataclasses.field(default_factory=dict)
 
 
+FULL = "full"
 PRESETS = {
-    "full": Preset(seeds=10, episodes=400, test_episodes=100),
+    FULL: Preset(seeds=10, episodes=400, test_episodes=100),
     "quick": Preset(seeds=2, episodes=100, test_episodes=20),
     "paper": Preset(seeds=10, episodes=1000, test_episodes=100, changes=PAPER),
 }

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from hitl_jax.choices.registry import is_imported
-from hitl_jax.envs import box2d, default_backend, make_pool, require_backend
-from hitl_jax.envs.base import require_sizes
-from hitl_jax.errors import LaunchError, ResultsError
+from hitl_jax.config import AgentConfig
+from hitl_jax.envs import OUR_WALKERS, WALKER, box2d, default_backend, make_pool, require_backend
+from hitl_jax.envs.base import WalkerPool, require_sizes
+from hitl_jax.errors import InvalidValue, LaunchError, ResultsError, Unplayable
 from hitl_jax.human.judgement import recorded
 from hitl_jax.results.atomic_files import locked
 from hitl_jax.results.episode_measures import ALARM_WINDOW, LOST_TESTS, num_lost
@@ -30,6 +31,7 @@ from hitl_jax.sweep.launchers import Launcher
 from hitl_jax.sweep.options import SweepOptions
 from hitl_jax.sweep.signals import Interrupted
 from hitl_jax.sweep.train_and_test import Batch, Tested, Walkers, make_team, policy_digest
+from hitl_jax.tasks import facts, task_of
 from hitl_jax.team import checkpoint
 from hitl_jax.team.agent import Agent, validate
 from hitl_jax.training.run_spec import Run
@@ -118,23 +120,42 @@ def with_backend(options: SweepOptions) -> tuple[SweepOptions, str]:
         ImportError: one line that says what to install for the backend that is asked for.
         InvalidValue: one line, if its walkers have other sizes than the team.
     """
-    if options.backend is not None:
-        require_backend(options.backend)
-        if options.backend == "envpool" or is_imported(options.backend):
-            # What is missing or does not fit is noticed before a folder is made.
-            with contextlib.closing(make_pool(options.backend, 1)) as pool:
-                require_sizes(pool, options.agent.observation_size, options.agent.action_size)
-        return options, ""
-    chosen = default_backend()
-    note = (
-        "" if chosen == "lean" else f"Box2D cannot be imported ({box2d.missing()}): --backend jax"
-    )
-    return dataclasses.replace(options, backend=chosen), note
+    played, note = task_of(options.env).env_id, ""
+    if options.backend is None:
+        options = dataclasses.replace(options, backend=default_backend(played))
+        if options.backend == "jax":
+            note = f"Box2D cannot be imported ({box2d.missing()}): --backend jax"
+    assert options.backend is not None
+    require_backend(options.backend, played)
+    if options.backend == "envpool" or is_imported(options.backend) or played not in OUR_WALKERS:
+        # What is missing or does not fit is noticed before a folder is made.
+        try:
+            made = make_pool(options.backend, 1, env_id=options.env)
+        except Unplayable as error:
+            raise InvalidValue("env", options.env, error.why) from error
+        with contextlib.closing(made) as pool:
+            options = dataclasses.replace(options, agent=_sized(options, pool))
+            require_sizes(pool, options.agent.observation_size, options.agent.action_size)
+    return options, note
+
+
+def _sized(options: SweepOptions, pool: WalkerPool) -> AgentConfig:
+    """The team with the walkers' sizes, where neither an option nor the task gives any."""
+    names = ("observation_size", "action_size")
+    usual = AgentConfig()
+    told = task_of(options.env).changes.keys()
+    sizes = {
+        name: getattr(pool, name)
+        for name in names
+        if name not in told and getattr(options.agent, name) == getattr(usual, name)
+    }
+    return dataclasses.replace(options.agent, **sizes)
 
 
 def config_of(options: SweepOptions) -> dict[str, Any]:
     """All that defines a run's numbers besides its method and seed."""
-    return {
+    task = {} if options.env == WALKER else {"task": facts(options.env)}
+    return task | {
         "backend": options.backend,
         "episodes": options.scale().episodes,
         "test_episodes": options.scale().test_episodes,
@@ -160,9 +181,8 @@ class Sweep:
         finished = self._folder.finished()
         specs = [spec for spec in options.specs() if spec.key not in finished]
         assert options.backend is not None
-        walkers = Walkers(
-            options.backend, options.slots, options.workers, options.scale().test_episodes
-        )
+        episodes = options.scale().test_episodes
+        walkers = Walkers(options.backend, options.slots, options.workers, episodes, options.env)
         self._batch = Batch("under_way", agent, specs, options.loop, walkers)
         self._running: Sequence[Run] = []
         self._drawing = BackgroundFigures(self._folder.path, self._save_partial)

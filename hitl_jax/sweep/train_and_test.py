@@ -8,7 +8,7 @@ from collections.abc import Callable, Generator, Sequence
 from typing import Any, NamedTuple
 
 from hitl_jax.config import AgentConfig, Method
-from hitl_jax.envs import WalkerPool, make_pool
+from hitl_jax.envs import WALKER, WalkerPool, make_pool
 from hitl_jax.errors import InvalidValue
 from hitl_jax.evaluation.examiners import make_examiner, num_test_walkers
 from hitl_jax.evaluation.trials import Mode, evaluate_runs
@@ -35,12 +35,14 @@ class Walkers(NamedTuple):
         slots: runs at a time, at most.
         workers: processes that step walkers; None is one a core.
         test_episodes: of one test.
+        env: the task, see `hitl_jax.tasks.task_of`.
     """
 
     backend: str
     slots: int
     workers: int | None
     test_episodes: int
+    env: str = WALKER
 
 
 def make_team(
@@ -162,7 +164,7 @@ def train_and_test(
         runs = (f"{spec.method}-{spec.seed}" for spec in specs)
         begun = sum(run.facts["ticks"] for run in (saved or {}).values())
         seed = episode_seed(phase, *runs, begun) >> 1
-        return make_pool(walkers.backend, count, walkers.workers, seed=seed)
+        return make_pool(walkers.backend, count, walkers.workers, walkers.env, seed=seed)
 
     with pool_of("train", batch.slots) as pool, pool_of("test", test_walkers) as test_pool:
         examiner = make_examiner(agent, test_pool, walkers.test_episodes)

@@ -89,16 +89,14 @@ def make_agent(
         intervention=INTERVENTIONS.make(chosen["intervention"]),
         release=RELEASES.make(chosen["release"]),
     )
-    _require_sizes(agent)
+    named = {
+        name: one if isinstance(one, str) else name_of(one)
+        for name, one in chosen.items()
+        if one is not None
+    }
+    _require_sizes(agent, {"danger": config.danger} | named)
     _require_looked_at(agent)
-    require_runs(
-        agent,
-        {
-            name: one if isinstance(one, str) else name_of(one)
-            for name, one in chosen.items()
-            if one is not None
-        },
-    )
+    require_runs(agent, named)
     return agent
 
 
@@ -117,23 +115,20 @@ def _own_human(judge: Any) -> human.HumanPart:
     return judge
 
 
-def _require_sizes(agent: Agent) -> None:
+def _require_sizes(agent: Agent, named: dict[str, str]) -> None:
     """Refuses parts that were made for other observations or actions than the team's."""
-    config = agent.config
-    for part, given in (
+    config, judge = agent.config, "judge" if "judge" in named else "danger"
+    for name, part in (
         ("indicator", agent.indicator),
-        ("judge", agent.human),
-        ("source", agent.source),
+        (judge, agent.human),
+        ("human_actions", agent.source),
     ):
-        for name in ("observation_size", "action_size"):
-            has = getattr(given, name, None)
-            if has not in (None, getattr(config, name)):
-                raise InvalidValue(
-                    name,
-                    getattr(config, name),
-                    f"must be {has} with this {part}; choose another, or give `make_agent` one of "
-                    "your own",
-                )
+        for what in ("observation", "action"):
+            made_for, size = (getattr(of, f"{what}_size", None) for of in (part, config))
+            if made_for not in (None, size):
+                why = f"is made for {what}s of {made_for} numbers, and the walkers' have {size}: "
+                why += "choose another, or give one of your own"
+                raise InvalidValue(name, named[name], why)
 
 
 def _require_looked_at(agent: Agent) -> None:

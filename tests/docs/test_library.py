@@ -42,7 +42,7 @@ def observation(**numbers):
 def test_every_section_with_a_program_is_tried_here():
     source = pathlib.Path(__file__).read_text()
     with_program = [name for name in headings(PAGE)[1:] if python_in(section(PAGE, name))]
-    assert len(with_program) == 7
+    assert len(with_program) == 6
     assert all(f'"{name}"' in source for name in with_program)
 
 
@@ -97,22 +97,6 @@ def test_the_patient_human_waits_and_rests(names):
     # The chain delays that by ten steps.
     slow = HumanParams(tolerance=0.4, delay=10)
     assert judged(made["mine"], [tilted] * 20, slow) == [False] * 14 + [True] * 6
-
-
-@pytest.mark.slow
-def test_the_cars_have_a_human_who_knows_cars(names):
-    made = names("An environment of your own")
-    agent = made["agent"]
-    at = functools.partial(jnp.asarray, dtype=jnp.float32)
-    near, far = at([-1.1, 0.0]), at([0.5, 0.0])
-    params = HumanParams()
-    assert judged(agent.human, [near, far], params) == [True, False]
-    np.testing.assert_allclose([agent.indicator(near), agent.indicator(far)], [-0.6, 1.0], 1e-6)
-    _, action = agent.source.act((), near, jax.random.key(0))
-    assert action == 1.0
-    rows = [row for one in made["finished"] for row in one.run.episodes]
-    assert len(rows) == 4 and all(row["length"] <= 999 for row in rows)
-    assert sum(row["alarms"] for row in rows) > 0
 
 
 @pytest.mark.slow

@@ -200,16 +200,16 @@ def test_the_command_says_so(words, given, said, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"observation_size": 2}, "observation_size 2: must be 24 with this indicator"),
+        ({"observation_size": 2}, "indicator hull_angle: is made for observations of 24 numbers"),
         (
             {"observation_size": 3, "indicator": "my_team:tilt"},
-            "observation_size 3: must be 24 with this judge",
+            "danger experienced: is made for observations of 24 numbers, and the walkers' have 3:",
         ),
         (
             {"observation_size": 3, "indicator": "my_team:tilt", "danger": "my_team:steep"},
-            "observation_size 3: must be 24 with this source",
+            "human_actions trained: is made for observations of 24 numbers",
         ),
-        ({"action_size": 2}, "action_size 2: must be 4 with this source"),
+        ({"action_size": 2}, "human_actions trained: is made for actions of 4 numbers"),
     ],
 )
 def test_what_was_made_for_the_walker_refuses_another_environment(changes, said):

@@ -1,7 +1,5 @@
 """The trained human: who has the controls when, and that both files are made and can be read."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +20,7 @@ def _judged(expectation, steps=4000):
     expects = network.init(jax.random.key(1), jnp.zeros(24))
     bias = jnp.full(1, jax.scipy.special.logit(expectation))
     expects["params"]["Dense_2"] = {"kernel": jnp.zeros((64, 1)), "bias": bias}
-    part = relay(expects)
+    part = relay(expects, 24)
     observation = jnp.zeros(24)
 
     def step(state, key):
@@ -46,7 +44,7 @@ def test_a_crew_takes_over_at_random_and_gives_back_where_a_stumble_shows():
 def test_members_of_a_crew_act_in_turns():
     actor = Actor((4,), 4)
     policies = [actor.init(jax.random.key(seed), jnp.zeros(24)) for seed in range(3)]
-    source = crew_actions(policies)
+    source = crew_actions(policies, 24, 4)
     seen = jnp.ones(24)
 
     def step(member, key):
@@ -67,9 +65,8 @@ def test_both_files_are_made_and_read(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(trained_human, "CREW", crew)
     monkeypatch.setattr(trained_human, "HANDS_SEEDS", range(2))
     monkeypatch.setattr(trained_human, "_UPDATES", 100)
-    base = trained_human._BASE
-    small = dataclasses.replace(base.agent, hidden_sizes=(16, 16), batch_size=16)
-    monkeypatch.setattr(trained_human, "_BASE", base._replace(agent=small))
+    small = {"hidden_sizes": (16, 16), "batch_size": 16}
+    monkeypatch.setattr(trained_human, "_ALL", trained_human._ALL | small)
     words = ["--crew-episodes", "16", "--episodes", "2", "--test-episodes", "1"]
     out = tmp_path / "hands"
     assert run_main("human", command.main, [*words, "--out", str(out)]) == 0

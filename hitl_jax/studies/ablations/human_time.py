@@ -10,7 +10,7 @@ import numpy as np
 
 from hitl_jax.analysis import stats
 from hitl_jax.analysis.figure_style import COLUMN, line_mark, line_style, literal, panels
-from hitl_jax.analysis.summary import STEPS_PER_SECOND
+from hitl_jax.analysis.task_facts import STEPS_PER_SECOND
 from hitl_jax.studies.ablations.store import AREA
 from hitl_jax.studies.ablations.table import Line
 
