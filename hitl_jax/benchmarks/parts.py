@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from hitl_jax.benchmarks.launchers import measure_launchers
 from hitl_jax.benchmarks.learner import measure_learner
 from hitl_jax.benchmarks.live import measure_live
+from hitl_jax.benchmarks.logs import measure_logs
 from hitl_jax.benchmarks.loop import measure_loop
 from hitl_jax.benchmarks.peers import measure_peers
 from hitl_jax.benchmarks.pool import measure_pool
@@ -20,6 +21,7 @@ PARTS: dict[str, Callable[[float], list[Row]]] = {
     "loop": measure_loop,
     "scaling": measure_scaling,
     "saves": measure_saves,
+    "logs": measure_logs,
     "walkers": measure_walkers,
     "live": measure_live,
     "launchers": measure_launchers,
@@ -28,7 +30,7 @@ PARTS: dict[str, Callable[[float], list[Row]]] = {
 """Each takes the seconds for one measurement, and gives the rows of its table."""
 
 _ON_GYMNASIUM = ("pool", "peers")
-_ON_BOX2D = ("loop", "scaling", "saves", "live")
+_ON_BOX2D = ("loop", "scaling", "saves", "logs", "live")
 """Parts that need it: `learner` has no walkers, `walkers` tells which it did not find."""
 
 

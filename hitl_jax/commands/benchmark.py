@@ -24,16 +24,17 @@ class BenchmarkOptions:
     """Measure learner, walkers and loop on this machine, their growth with runs, and their peers.
 
     Attributes:
-        only: parts to measure: some of learner, pool, loop, scaling, saves, walkers, live (which
-            needs the extra `live`), launchers (which needs the extra `ray`), peers (which needs the
-            extra `bench`).
+        only: parts to measure: some of learner, pool, loop, scaling, saves, logs (of the extra
+            `log`), walkers, live (which needs the extra `live`), launchers (which needs the extra
+            `ray`), peers (which needs the extra `bench`).
         json: a file for the same numbers.
         plot: a .png or .svg file for a picture of the part scaling.
         seconds: time for one measurement [s].
     """
 
     only: tuple[str, ...] = (
-        *("learner", "pool", "loop", "scaling", "saves", "walkers", "live", "launchers", "peers"),
+        *("learner", "pool", "loop", "scaling", "saves", "logs", "walkers", "live", "launchers"),
+        "peers",
     )
     json: str | None = None
     plot: str | None = None

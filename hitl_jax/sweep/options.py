@@ -17,7 +17,7 @@ from hitl_jax.choices.checks import (
     require_seeds,
     require_whole,
 )
-from hitl_jax.choices.fields import choice, described
+from hitl_jax.choices.fields import choice, choices, described
 from hitl_jax.choices.registry import is_imported
 from hitl_jax.config import LAST, AgentConfig, Hyper, Method, hyper_for, validate_hyper
 from hitl_jax.envs import BACKENDS, OUR_WALKERS, WALKER
@@ -28,6 +28,7 @@ from hitl_jax.sweep import recorded_human, shards
 from hitl_jax.sweep.autosave import SAVE_SECONDS
 from hitl_jax.sweep.changes import Parts, of_task
 from hitl_jax.sweep.launchers import LaunchOptions
+from hitl_jax.sweep.logs.run_log import LOGS, require_log
 from hitl_jax.sweep.presets import AS_PRESET, FULL, HUMAN_PRESETS, PRESETS, Preset
 from hitl_jax.sweep.shards import Shard
 from hitl_jax.tasks import TASKS, task_of
@@ -70,6 +71,7 @@ class SweepOptions:
             live session (see `hitl-jax recorded`), played back step by step.
         human_policy: a `params.npz` whose actor gives the human's actions (default: as
             `human_actions` says).
+        log: logs of all runs in other tools' formats, written as they go on:
         save_seconds: how often runs under way are saved [s]: what a killed process loses at most.
         out: folder of the results. An interrupted sweep goes on in the same folder.
         shard: of a sweep in parts, which to make: `3/16` is the third of sixteen. Each has a folder
@@ -93,6 +95,7 @@ class SweepOptions:
     slots: int = 32
     human: str = recorded_human.SIMULATED
     human_policy: str | None = None
+    log: tuple[str, ...] = choices((), LOGS)
     save_seconds: float = SAVE_SECONDS
     out: str = "runs/sweep"
     shard: str | None = None
@@ -194,6 +197,8 @@ class SweepOptions:
         require_whole("slots", self.slots, at_least=1)
         if self.workers is not None:
             require_whole("workers", self.workers, 1, _MOST_WORKERS)
+        for name in self.log:
+            require_log(name)
         require("save_seconds", self.save_seconds, at_least=0.0)
         self.launch.checked()
         if not self.specs():

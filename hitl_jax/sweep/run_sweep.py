@@ -28,6 +28,7 @@ from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.sweep import recorded_human
 from hitl_jax.sweep.background_figures import BackgroundFigures, draw
 from hitl_jax.sweep.launchers import Launcher
+from hitl_jax.sweep.logs import SweepLogs
 from hitl_jax.sweep.options import SweepOptions
 from hitl_jax.sweep.signals import Interrupted
 from hitl_jax.sweep.train_and_test import Batch, Tested, Walkers, make_team, policy_digest
@@ -187,6 +188,7 @@ class Sweep:
         self._running: Sequence[Run] = []
         self._drawing = BackgroundFigures(self._folder.path, self._save_partial)
         self._display = display
+        self._logs = SweepLogs(options.log, self._folder.path, self._config, display.say)
 
     def run(self) -> list[Any]:
         """Makes the runs that the folder lacks, and draws.
@@ -232,10 +234,12 @@ class Sweep:
                     self._finish(tested)
         finally:
             self._drawing.stop()
+            self._logs.close()
 
     def _show(self, running: Sequence[Run]) -> None:
         self._running = running
         self._display.show(running)
+        self._logs.follow(running)
         self._drawing.draw_if_due()
 
     def _save_partial(self) -> None:
@@ -271,6 +275,7 @@ class Sweep:
             run.diagnostics,
         )
         self._folder.remove_partial(key)
+        self._logs.finish(run, tested.tests, tested.progress)
         self._display.finish(run)
         alone = [row["return"] for row in tested.tests if row["mode"] == "autonomous"]
         self._display.say(

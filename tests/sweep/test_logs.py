@@ -1,0 +1,186 @@
+"""What other tools read of a sweep's logs is what its tables have."""
+
+import json
+import os
+import struct
+
+import numpy as np
+import pandas
+import pytest
+import small
+
+from hitl_jax.commands.seed_sweep import main
+from hitl_jax.console.cli import run_main
+from hitl_jax.errors import InvalidValue
+from hitl_jax.results.run_key import RunKey
+from hitl_jax.sweep import run_sweep
+from hitl_jax.sweep.logs import LOGS, SweepLogs
+from hitl_jax.sweep.logs.run_log import require_log
+from hitl_jax.sweep.options import SweepOptions
+
+_SMALL = [
+    *("--seeds", "1", "--methods", "hitl-ac", "--episodes", "3", "--test-episodes", "2"),
+    *("--warmup-steps", "100", "--backend", "lean", *small.OPTIONS),
+]
+_COLUMNS = {
+    "1_human/interventions": "interventions",
+    "2_return/training": "return",
+    "3_alarms/count": "alarms",
+    "4_boundary/mean": "mean_boundary",
+}
+
+
+class Kept:
+    """A log of one's own: `--log test_logs:Kept`."""
+
+    written: dict = {}  # noqa: RUF012
+
+    def __init__(self, run):
+        self.rows = self.written.setdefault(run.key, [])
+
+    def write(self, values, step):
+        self.rows.append((step, dict(values)))
+
+    def close(self):
+        self.rows.append("closed")
+
+
+class Broken(Kept):
+    def write(self, values, step):
+        raise OSError("the disk is full")
+
+
+@pytest.fixture(scope="module")
+def logged(tmp_path_factory):
+    """A sweep with all logs that can be written here."""
+    pytest.importorskip("tensorboardX")
+    names = [name for name in LOGS if _is_here(name)]
+    out = tmp_path_factory.mktemp("logged")
+    Kept.written.clear()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run_sweep, "draw", lambda _: [])
+        patch.setenv("WANDB_MODE", "offline")
+        words = [*_SMALL, "--log", *names, "test_logs:Kept", "test_logs:Broken"]
+        assert run_main("sweep", main, [*words, "--out", str(out)]) == 0
+    return out
+
+
+def _is_here(name):
+    try:
+        require_log(name)
+    except ImportError:
+        return False
+    return True
+
+
+def _tables(out):
+    run = out / "runs" / "hitl-ac" / "seed-0000"
+    return [pandas.read_csv(run / f"{name}.csv") for name in ("episodes", "diagnostics", "test")]
+
+
+def _require_equal(series, out, exact=True):
+    """`series`: (steps, values) by name."""
+    episodes, diagnostics, tests = _tables(out)
+    rtol = 0 if exact else 1e-6
+    for name, column in _COLUMNS.items():
+        steps, values = series[name]
+        np.testing.assert_array_equal(steps, episodes["env_steps"])
+        np.testing.assert_allclose(values, episodes[column], rtol=rtol)
+    rate = episodes["human_steps"] / episodes["length"]
+    np.testing.assert_allclose(series["1_human/intervention_rate"][1], rate, rtol=rtol)
+    for column in set(diagnostics) - {"updates", "env_steps", "episodes"}:
+        known = diagnostics[column].notna()
+        steps, values = series.get(f"5_learner/{column}", ([], []))
+        np.testing.assert_array_equal(steps, diagnostics["env_steps"][known])
+        np.testing.assert_allclose(values, diagnostics[column][known], rtol=rtol)
+    for mode in ("autonomous", "assisted"):
+        [value] = series[f"2_return/{mode}_test_at_the_end"][1]
+        np.testing.assert_allclose(value, tests[tests["mode"] == mode]["return"].mean(), rtol=1e-6)
+
+
+def test_event_files_have_what_the_tables_have(logged):
+    from tensorboardX.proto.event_pb2 import Event
+
+    [file] = (logged / "tensorboard" / "hitl-ac" / "seed-0000").iterdir()
+    data, place, series = file.read_bytes(), 0, {}
+    while place < len(data):  # A record: its length, a checksum, the event, a checksum.
+        (length,) = struct.unpack_from("<Q", data, place)
+        event = Event.FromString(data[place + 12 : place + 12 + length])
+        for value in event.summary.value:
+            steps, values = series.setdefault(value.tag, ([], []))
+            steps.append(event.step)
+            values.append(value.simple_value)
+        place += 16 + length
+    _require_equal(series, logged, exact=False)  # They hold float32.
+
+
+def _records(data):
+    """Of a log as LevelDB writes it: blocks of 32 KiB, of parts that begin with a head."""
+    place, whole = 7, b""  # Behind the file's own head.
+    while place + 7 <= len(data):
+        if (left := -place % 2**15) < 7 and left:
+            place += left  # No head fits there.
+            continue
+        length, kind = struct.unpack_from("<HB", data, place + 4)
+        whole += data[place + 7 : place + 7 + length]
+        place += 7 + length
+        if kind in (1, 4):  # All of a record, or its last part.
+            yield whole
+            whole = b""
+
+
+def test_weights_and_biases_has_what_the_tables_have(logged):
+    pytest.importorskip("wandb")
+    from wandb.proto.wandb_internal_pb2 import Record
+
+    [file] = (logged / "wandb").glob("offline-run-*/*.wandb")
+    series = {}
+    for data in _records(file.read_bytes()):
+        row = {}
+        for item in Record.FromString(data).history.item:
+            row[item.key or "/".join(item.nested_key)] = json.loads(item.value_json)
+        for name, value in row.items():
+            steps, values = series.setdefault(name, ([], []))
+            steps.append(row.get("env_steps"))
+            values.append(value)
+    _require_equal(series, logged)
+
+
+def test_a_log_of_ones_own_has_what_the_tables_have(logged):
+    rows = Kept.written[RunKey("hitl-ac", 0)]
+    *written, last = [row for row in rows if row != "closed"] + [rows[-1]]
+    assert last == "closed"
+    series = {}
+    for step, values in written:
+        for name, value in values.items():
+            steps, all_values = series.setdefault(name, ([], []))
+            steps.append(step)
+            all_values.append(value)
+    _require_equal(series, logged)
+
+
+def test_a_log_that_fails_is_given_up_and_no_other(tmp_path):
+    said, kept = [], {}
+    Kept.written = kept
+    logs = SweepLogs(["test_logs:Broken", "test_logs:Kept"], tmp_path, {}, said.append)
+    logs._write(RunKey("srl", 1), {"1_human/steps": 2.0}, 10)
+    logs._write(RunKey("srl", 1), {"1_human/steps": 3.0}, 20)
+    logs.close()
+    assert said == ["log test_logs:Broken: OSError: the disk is full; no more is logged there"]
+    rows = [row for row in kept[RunKey("srl", 1)] if row != "closed"]
+    assert rows == [(10, {"1_human/steps": 2.0}), (20, {"1_human/steps": 3.0})]
+
+
+def test_no_log_is_opened_where_none_is_asked_for(tmp_path):
+    logs = SweepLogs([], tmp_path, {}, pytest.fail)
+    logs.follow([None])
+    logs.close()
+    assert not os.listdir(tmp_path)
+
+
+def test_what_cannot_be_logged_is_said_before_any_work(monkeypatch):
+    with pytest.raises(InvalidValue, match=r"^log tensorbord: must be one of tensorboard, wandb"):
+        SweepOptions(log=("tensorbord",)).checked()
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ImportError, match=r'^log wandb: pip install -e "\.\[log\]"$'):
+        SweepOptions(log=("wandb",)).checked()
