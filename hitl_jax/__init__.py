@@ -20,6 +20,9 @@ _EXPORTS = {
     ),
     "hitl_jax.config": ("AgentConfig", "Hyper", "Method", "RunHyper", "hyper_for"),
     "hitl_jax.envs": ("make_pool",),
+    "hitl_jax.playback.trained_run": ("TrainedRun", "load_run"),
+    "hitl_jax.results.all_runs": ("load_table",),
+    "hitl_jax.tasks": ("Task",),
     "hitl_jax.training.rollout": ("Rollout",),
     "hitl_jax.training.run_spec": ("LoopConfig", "RunSpec"),
     "hitl_jax.types": (

@@ -10,6 +10,7 @@
     OUT/runs/<method>/seed-0003/params.npz   the final parameters
     OUT/runs/<method>/seed-0003/episodes.npz recorded training episodes, to replay
     OUT/runs/<method>/seed-0003/diagnostics.csv losses, values and gradients, now and then
+    OUT/runs/<method>/seed-0003/README.md    a model card
     OUT/partial/<method>-seed-0003.csv       training episodes of a run still under way
     OUT/under_way/                           saved runs (`training.saved_run_store`)
     OUT/summary.csv, OUT/summary.md, OUT/figures/, OUT/replays/
@@ -26,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from hitl_jax.errors import ResultsError
-from hitl_jax.results import recorded_episodes
+from hitl_jax.results import model_card, recorded_episodes
 from hitl_jax.results.atomic_files import (
     LOCK,
     TEMPORARY,
@@ -206,6 +207,9 @@ class ResultsFolder:
         source.check_run(key)
         names = [name for name in ("run.json", *RUN_FILES) if os.path.lexists(origin / name)]
         contents = {name: read_bytes(origin / name, follow=False) for name in names}
+        run = source.load_run(key)
+        card = model_card.model_card(key, run.info, run.episodes, run.tests)
+        contents[model_card.FILE] = card.encode()
         write_folder_atomic(final, contents)
 
     def check_run(self, key: RunKey) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hitl_jax.errors import ResultsError
+from hitl_jax.results import model_card
 from hitl_jax.results.atomic_files import named_errors, read_bytes
 from hitl_jax.results.diagnostic_table import FILE as DIAGNOSTICS
 from hitl_jax.results.diagnostic_table import diagnostics_from_csv, diagnostics_to_csv
@@ -121,7 +122,12 @@ def run_contents(
     }
     files = {name: digest_of(data) for name, data in contents.items()}
     document = head | info | head | {"files": files}  # `info` cannot replace these.
-    return contents | {"run.json": to_json(document).encode()}
+    tables = to_table(episodes, EPISODE_COLUMNS), to_table(tests, TEST_COLUMNS)
+    card = model_card.model_card(key, document, *tables)
+    return contents | {
+        "run.json": to_json(document).encode(),
+        model_card.FILE: card.encode(),
+    }
 
 
 def read_info(path: pathlib.Path, key: RunKey) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from pages import ROOT, first_column, python_in, run, section
 
 from hitl_jax.analysis.summary import SUMMARY_COLUMNS
 from hitl_jax.learner.networks import Actor
+from hitl_jax.results import model_card
 from hitl_jax.results.episode_tables import (
     ENDS,
     EPISODE_COLUMNS,
@@ -31,7 +32,7 @@ LAYOUT = "The observation and the action of BipedalWalker"
         ("test.csv: test episodes", TEST_COLUMNS),
         ("progress.csv: tests during training", PROGRESS_COLUMNS),
         ("summary.csv: a row for each run", SUMMARY_COLUMNS),
-        ("The files of a run", ("run.json", *RUN_FILES)),
+        ("The files of a run", ("run.json", *RUN_FILES, model_card.FILE)),
     ],
 )
 def test_tables_name_what_is_written_in_its_order(heading, columns):

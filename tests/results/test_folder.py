@@ -48,7 +48,9 @@ def test_pandas_and_numpy_read_the_files(folder):
     save(folder)
     path = folder.path / "runs/hitl-ac/seed-0003"
     tables = {"episodes.csv", "test.csv", "progress.csv", "diagnostics.csv"}
-    assert everything_below(path) == {"run.json", "params.npz", "episodes.npz"} | tables
+    assert everything_below(path) == tables | {
+        *("run.json", "params.npz", "episodes.npz", "README.md")
+    }
     frame = pd.read_csv(path / "episodes.csv")
     assert tuple(frame.columns) == EPISODE_COLUMNS
     assert frame["final_boundary"].isna().all()

@@ -51,7 +51,7 @@ def whole(tmp_path_factory):
 def _assert_equal(out, whole):
     names = sorted(path.relative_to(whole) for path in whole.glob("runs/*/*/*"))
     assert sorted(path.relative_to(out) for path in out.glob("runs/*/*/*")) == names
-    assert len(names) == 4 * (len(RUN_FILES) + 1)
+    assert len(names) == 4 * (len(RUN_FILES) + 2)
     for name in names:
         if name.name in RUN_FILES:
             assert (out / name).read_bytes() == (whole / name).read_bytes(), name
