@@ -19,6 +19,7 @@ _COMMANDS = {
     "live": ("live", "opens a page on which you are the human"),
     "recorded": ("recorded", "makes a human for sweeps of a live session"),
     "ablation": ("ablation", "takes one part of the team apart"),
+    "study": ("study", "tells how often and how long a human should intervene"),
     "tuning": ("tuning", "tells what a learner's configuration costs and gives"),
     "human": ("human", "makes the trained human of a task"),
     "report": ("report", "writes the report and all figures from saved results"),

@@ -188,7 +188,7 @@ def _mean(tests: Table, episodes: int) -> float:
 def summarise_run(run: Run) -> Row:
     """The measures of one run, keys `summary_columns`."""
     episodes, tests = run.episodes, run.tests
-    config = run.info["config"]
+    config = run.info.get("config", {})
     marks = marks_of(config)
     trailing = stats.trailing_mean(episodes["return"], WINDOW)
     autonomous, assisted = select(tests, "mode", "autonomous"), select(tests, "mode", "assisted")

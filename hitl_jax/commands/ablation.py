@@ -33,30 +33,30 @@ def main(options: AblationOptions) -> int:
     """
     if options.name not in (*ABLATIONS, "all"):
         raise BadInput(f"NAME {options.name}: must be one of {', '.join(ABLATIONS)}, all")
-    names = options.names
     out = pathlib.Path(options.out)
     with contextlib.ExitStack() as held:
         with checking_input(results="--out"):
             held.enter_context(options.checked().launch.ready())
+            chosen = options.chosen()
             held.enter_context(locked(out))
             store = Store(out / "runs.csv")
             store.write()  # A folder that cannot be written is noticed now.
-            groups = missing_runs(names, options, store)
-        for name in names:
-            say(f"{name}: {options.budget(ABLATIONS[name]).told}")
+            groups = missing_runs(chosen.values(), store)
+        for name, one in chosen.items():
+            say(f"{name}: {one.budget.told}")
         keep_programs()
         missing = [run for group in groups for run in group.missing]
         methods = [method for method in Method if any(run.method == method for run in missing)]
         code = 0
         try:
-            episodes = sum(group.budget.episodes * len(group.missing) for group in groups)
+            episodes = sum(group.ablation.budget.episodes * len(group.missing) for group in groups)
             progress = Progress(methods, len(missing), episodes, 0)
             make_runs(groups, options.launch, store, progress)
         except Interrupted as stop:
             say(f"\nStopped. Finished runs are in {store.path}. {options.launch.goes_on}")
             code = stop.exit_code
-        for name in names:
-            written = write_ablation(name, options.budget(ABLATIONS[name]), store)
+        for name, one in chosen.items():
+            written = write_ablation(name, one, store)
             for line in (*written.failures, *([written.table] if written.table else ())):
                 print(line)
         return code

@@ -30,7 +30,7 @@ def ablations(folder: pathlib.Path, say: Callable[[str], None]) -> str:
         return f"{title}\nNot run yet.\n"
     parts = [title, _BASE]
     for name, ablation in ABLATIONS.items():
-        text, failures = write_ablation(name, ablation.budget, store)
+        text, failures = write_ablation(name, ablation, store)
         for failure in failures:
             say(failure)
         if text:
@@ -49,7 +49,7 @@ _BY_START = "initial-boundary"
 def _human_time(folder: pathlib.Path, store: Store, say: Callable[[str], None]) -> Iterator[str]:
     """What the human's time brings with fixed and learned boundaries, once every run is there."""
     ablation = ABLATIONS[_BY_START]
-    lines = measured(lines_of(ablation, ablation.budget, store))
+    lines = measured(lines_of(ablation, store))
     whole = [line for line in lines if len(line.runs) == ablation.budget.seeds]
     if len(whole) == sum(len(setting.methods) for setting in ablation.settings):
         curves = [[line for line in whole if line.method == method] for method in _COMPARED]

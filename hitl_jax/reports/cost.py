@@ -39,7 +39,7 @@ def cost_of_choices(root: pathlib.Path) -> str:
         runs = {
             run
             for setting, parts in settings_of(ablation)
-            for run in runs_of(setting, parts, budget)
+            for run in runs_of(ablation, setting, parts)
             if run in store
         }
         new, told = runs - told, told | runs

@@ -73,12 +73,12 @@ def test_a_full_disk_is_the_folders_error(plain, monkeypatch):
 def test_the_other_drawings_cost_nothing_either(tmp_path, monkeypatch):
     """Of an ablation, of the benchmark, of alarms."""
     monkeypatch.setattr(figure, "draw_rows", _fails)
-    budget = ABLATIONS["fading"].budget
+    ablation = ABLATIONS["fading"]
     store = Store(tmp_path / "runs.csv")
-    setting, parts = next(settings_of(ABLATIONS["fading"]))
-    [run, *_] = runs_of(setting, parts, budget)
+    setting, parts = next(settings_of(ablation))
+    [run, *_] = runs_of(ablation, setting, parts)
     store.add(run, dict.fromkeys(_MEASURES, 1.0) | {"commit": "abc"})
-    written = write_ablation("fading", budget, store)
+    written = write_ablation("fading", ablation, store)
     assert written.table
     assert written.failures == ["fading: could not be drawn: RuntimeError: there is no font"]
     assert (tmp_path / "fading.md").exists()

@@ -181,9 +181,8 @@ def test_ablations_of_different_budgets_are_made_together(tmp_path, monkeypatch)
     _add_tiny(monkeypatch)
     longer = Ablation("Longer", _TINY.settings[:1], Budget(1, 3, 7, 2))
     monkeypatch.setitem(ABLATIONS, "longer", longer)
-    groups = runs.missing_runs(
-        ["tiny", "longer"], AblationOptions("all", seeds=1), Store(tmp_path / "runs.csv")
-    )
+    chosen = AblationOptions("all", seeds=1).chosen()
+    groups = runs.missing_runs([chosen["tiny"], chosen["longer"]], Store(tmp_path / "runs.csv"))
     batches = [runs.batch_of(group) for group in groups]
     made = [
         (spec.seed, spec.episodes, batch.walkers.test_episodes)

@@ -37,9 +37,11 @@ def test_a_name_that_is_none_is_refused():
 def test_an_ablation_is_run_as_its_kept_table_was():
     """But for what is asked for."""
     fading = ABLATIONS["fading"]
-    assert AblationOptions("fading").budget(fading) == fading.budget == Budget(10, 100, 400, 100)
-    asked = AblationOptions("fading", first_seed=0, test_episodes=5).budget(fading)
-    assert asked == Budget(10, 0, 400, 5)
+    assert AblationOptions("fading").chosen() == {"fading": fading}
+    assert fading.budget == Budget(10, 100, 400, 100)
+    asked = AblationOptions("fading", first_seed=0, test_episodes=5).chosen()
+    assert asked["fading"].budget == Budget(10, 0, 400, 5)
+    assert list(AblationOptions("all").chosen()) == list(ABLATIONS)
 
 
 def test_the_help_names_every_ablation():
@@ -96,7 +98,7 @@ def test_every_kept_run_is_shown_by_the_report():
         run.key
         for ablation in ABLATIONS.values()
         for setting, parts in runs.settings_of(ablation)
-        for run in runs.runs_of(setting, parts, ablation.budget)
+        for run in runs.runs_of(ablation, setting, parts)
     }
     assert not kept - shown
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _STEPS = "train_human_steps"
-_GUIDE = "mean over seeds, bootstrap 95 % intervals"
+GUIDE = "mean over seeds, bootstrap 95 % intervals"
 
 
 def measured(lines: Sequence[Line]) -> list[Line]:
@@ -40,20 +40,31 @@ def draw_human_time(values: str, curves: Sequence[Sequence[Line]]) -> Figure:
     """
     figure, [axes] = panels(1, 1, (COLUMN, 4.2))
     for lines in curves:
-        _draw_curve(axes, lines)
+        draw_points(axes, lines)
     axes.set(xlabel="in human hands during training [s]", ylabel="area under the tests")
     marks = [
         line_mark(marker="o", label=f"{lines[0].method.upper()}, by {literal(values)}", **style)
         for lines in curves
         for style in [line_style(lines[0].method)]
     ]
-    figure.legend(handles=marks, title=_GUIDE, loc="outside lower center", handlelength=3.5)
+    figure.legend(handles=marks, title=GUIDE, loc="outside lower center", handlelength=3.5)
     return figure
 
 
-def _draw_curve(axes: Axes, lines: Sequence[Line]) -> None:
+def draw_points(
+    axes: Axes, lines: Sequence[Line], steps_per_second: float = STEPS_PER_SECOND
+) -> None:
+    """A point for each line, with intervals, and its label.
+
+    Args:
+        axes: to draw into.
+        lines: of `measured`, of one method; nothing is drawn without any.
+        steps_per_second: of the task's time.
+    """
+    if not lines:
+        return
     style = line_style(lines[0].method)
-    seconds = [line.values(_STEPS) / STEPS_PER_SECOND for line in lines]
+    seconds = [line.values(_STEPS) / steps_per_second for line in lines]
     areas = [line.values(AREA) for line in lines]
     xs, ys = ([values.mean() for values in measure] for measure in (seconds, areas))
     one_way = len({np.sign(step) for step in np.diff(xs)}) == 1
@@ -68,6 +79,6 @@ def _draw_curve(axes: Axes, lines: Sequence[Line]) -> None:
     for line, x, y, side in zip(lines, xs, ys, itertools.cycle("lr"), strict=False):
         away = {"l": (-7, "right"), "r": (7, "left")}[side]
         place: dict[str, Any] = {"xytext": (away[0], -3), "ha": away[1], "fontsize": 7.5}
-        name = literal(line.label.split()[0])
+        name = literal(line.label.split()[0]) if x > 0 else ""
         place |= {"bbox": {"fc": "w", "ec": "none", "pad": 0.5}, "color": style["color"]}
         axes.annotate(name, (x, y), textcoords="offset points", **place)

@@ -36,16 +36,15 @@ class AblationOptions:
     out: str = "runs/ablations"
     launch: Annotated[LaunchOptions, tyro.conf.arg(name="")] = LaunchOptions()
 
-    @property
-    def names(self) -> list[str]:
-        """The ablations that are asked for."""
-        return list(ABLATIONS) if self.name == "all" else [self.name]
-
-    def budget(self, ablation: Ablation) -> Budget:
-        """The ablation's, but for what was asked for."""
+    def chosen(self) -> dict[str, Ablation]:
+        """The ablations that are asked for, each with its budget, but for what was asked for."""
         names = (field.name for field in dataclasses.fields(Budget))
         asked = {name: value for name in names if (value := getattr(self, name)) is not None}
-        return dataclasses.replace(ablation.budget, **asked)
+        return {
+            name: dataclasses.replace(one, budget=dataclasses.replace(one.budget, **asked))
+            for name, one in ABLATIONS.items()
+            if self.name in (name, "all")
+        }
 
     def checked(self) -> "AblationOptions":
         """Checks every option; returns itself.
@@ -54,7 +53,7 @@ class AblationOptions:
             InvalidValue: one line with the name, the value and what is allowed.
         """
         one_of("name", self.name, (*ABLATIONS, "all"))
-        for budget in (self.budget(ABLATIONS[name]) for name in self.names):
+        for budget in (ablation.budget for ablation in self.chosen().values()):
             require_seeds(budget.first_seed, budget.seeds)
             require_whole("episodes", budget.episodes, at_least=1)
             require_whole("test_episodes", budget.test_episodes, 1, MOST_TEST_EPISODES)

@@ -1,13 +1,13 @@
 """An ablation's runs: which there are, which are missing, and how those are made."""
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from hitl_jax.analysis.claims_over_steps import area_of
 from hitl_jax.analysis.summary import summarise_run
 from hitl_jax.config import Hyper, Method, hyper_for
-from hitl_jax.envs import require_backend
+from hitl_jax.envs import default_backend, require_backend
 from hitl_jax.evaluation.trials import milestones
 from hitl_jax.results.episode_tables import (
     EPISODE_COLUMNS,
@@ -19,18 +19,17 @@ from hitl_jax.results.episode_tables import (
 from hitl_jax.results.folder import Run
 from hitl_jax.results.provenance import short_commit
 from hitl_jax.studies.ablations.late_training import late_training
-from hitl_jax.studies.ablations.options import AblationOptions
-from hitl_jax.studies.ablations.settings import ABLATIONS, BASE, Ablation, Budget, Setting
+from hitl_jax.studies.ablations.settings import Ablation, Setting
 from hitl_jax.studies.ablations.store import AREA, FALLS, Row, RunId, Store, digest
 from hitl_jax.sweep.autosave import SAVE_SECONDS
 from hitl_jax.sweep.changes import Parts, changed
 from hitl_jax.sweep.launchers import LaunchOptions
 from hitl_jax.sweep.run_sweep import Display
 from hitl_jax.sweep.train_and_test import Batch, Tested, Walkers, make_team
+from hitl_jax.tasks import task_of
 from hitl_jax.training.run_spec import RunSpec
 
 _SLOTS = 32
-_BACKEND = "lean"
 
 
 class Group(NamedTuple):
@@ -39,22 +38,21 @@ class Group(NamedTuple):
     Attributes:
         name: of the group among others; its saves are kept by it.
         parts: the options of one of them.
-        budget: of each of them, but for the seeds.
+        ablation: one that they are of; task and budget, but for the seeds, are those of all.
         missing: those that the store lacks, with their options.
     """
 
     name: str
     parts: Parts
-    budget: Budget
+    ablation: Ablation
     missing: dict[RunId, Parts]
 
 
-def missing_runs(names: Sequence[str], options: AblationOptions, store: Store) -> list[Group]:
+def missing_runs(ablations: Iterable[Ablation], store: Store) -> list[Group]:
     """The runs of some ablations that the store lacks, by the program that trains them.
 
     Args:
-        names: some of `ABLATIONS`.
-        options: what was asked for of seeds and budget.
+        ablations: with the budgets that are asked for.
         store: the runs that are done.
 
     Returns:
@@ -62,17 +60,19 @@ def missing_runs(names: Sequence[str], options: AblationOptions, store: Store) -
 
     Raises:
         ImportError: one line, if there are such runs and no walkers to make them with.
+        ValueError: one line, if a setting is not allowed, or a task cannot be had.
     """
     groups: dict[str, Group] = {}
-    for name in names:
-        budget = options.budget(ABLATIONS[name])
-        for setting, parts in settings_of(ABLATIONS[name]):
-            program = digest(parts._replace(hyper=Hyper()), budget.of_a_run)
-            group = groups.setdefault(program, Group(f"under_way-{program}", parts, budget, {}))
-            ids = runs_of(setting, parts, budget)
+    for ablation in ablations:
+        for setting, parts in settings_of(ablation):
+            program = digest(parts._replace(hyper=Hyper()), ablation.of_a_run)
+            group = groups.setdefault(program, Group(f"under_way-{program}", parts, ablation, {}))
+            ids = runs_of(ablation, setting, parts)
             group.missing.update({run: parts for run in ids if run not in store})
-    if any(group.missing for group in groups.values()):
-        require_backend(_BACKEND)
+    for group in groups.values():
+        if group.missing:
+            played = task_of(group.ablation.env).env_id
+            require_backend(default_backend(played), played)
     return sorted(groups.values(), key=lambda group: len(group.missing), reverse=True)
 
 
@@ -108,31 +108,34 @@ def make_runs(
 
 def batch_of(group: Group) -> Batch:
     """Runs of one compiled program, seed after seed: early tables are fair."""
+    budget, env = group.ablation.budget, group.ablation.env
     specs = [
         RunSpec(
             Method(run.method),
             run.seed,
             hyper_for(Method(run.method), parts.hyper),
-            group.budget.episodes,
-            milestones(group.budget.episodes),
+            budget.episodes,
+            milestones(budget.episodes),
             setting=run.digest,
         )
         for run, parts in sorted(group.missing.items(), key=lambda item: item[0].seed)
     ]
     agent = make_team(group.parts.agent, group.parts.human_policy)
-    walkers = Walkers(_BACKEND, _SLOTS, None, group.budget.test_episodes)
+    backend = default_backend(task_of(env).env_id)
+    walkers = Walkers(backend, _SLOTS, None, budget.test_episodes, env)
     return Batch(group.name, agent, specs, group.parts.loop, walkers)
 
 
 def settings_of(ablation: Ablation) -> Iterator[tuple[Setting, Parts]]:
     """Its settings, each with the options that it stands for."""
+    task = task_of(ablation.env).changes
     for setting in ablation.settings:
-        yield setting, changed(BASE | setting.changes)
+        yield setting, changed(ablation.base | dict(task) | setting.changes)
 
 
-def runs_of(setting: Setting, parts: Parts, budget: Budget) -> list[RunId]:
+def runs_of(ablation: Ablation, setting: Setting, parts: Parts) -> list[RunId]:
     """The runs of a setting: of each method all seeds."""
-    mark, seeds = digest(parts, budget.of_a_run), budget.all_seeds
+    mark, seeds = digest(parts, ablation.of_a_run), ablation.budget.all_seeds
     return [RunId(setting.name, m, seed, mark) for m in setting.methods for seed in seeds]
 
 

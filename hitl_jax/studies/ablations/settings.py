@@ -1,9 +1,11 @@
 """What each ablation compares."""
 
 import dataclasses
+from typing import Any
 
 from hitl_jax.boundary.margin import MARGIN_PARTS
 from hitl_jax.config import Method
+from hitl_jax.envs import WALKER
 from hitl_jax.sweep.changes import Changes
 from hitl_jax.sweep.presets import PAPER
 
@@ -81,12 +83,22 @@ class Ablation:
         budget: of the kept table, or of the one that is to be kept.
         is_number: whether the settings are values of one number, with which their labels begin;
             the figure then has curves over it.
+        base: what the settings change.
+        env: the task, see `hitl_jax.tasks.task_of`.
     """
 
     title: str
     settings: tuple[Setting, ...]
     budget: Budget = Budget()
     is_number: bool = False
+    base: Changes = dataclasses.field(default_factory=lambda: BASE)
+    env: str = WALKER
+
+    @property
+    def of_a_run(self) -> dict[str, Any]:
+        """What must be equal for two runs to be compared, beside their options."""
+        task = {} if self.env == WALKER else {"env": self.env}
+        return self.budget.of_a_run | task
 
 
 _HELD: Changes = {

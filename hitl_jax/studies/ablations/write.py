@@ -7,7 +7,7 @@ from hitl_jax.analysis.figure_style import attempt, save
 from hitl_jax.results.atomic_files import write_text_atomic
 from hitl_jax.studies.ablations import figure
 from hitl_jax.studies.ablations.runs import runs_of, settings_of
-from hitl_jax.studies.ablations.settings import ABLATIONS, Ablation, Budget
+from hitl_jax.studies.ablations.settings import Ablation
 from hitl_jax.studies.ablations.store import Store
 from hitl_jax.studies.ablations.table import Line, to_markdown
 
@@ -24,12 +24,11 @@ class Written(NamedTuple):
     failures: list[str]
 
 
-def lines_of(ablation: Ablation, budget: Budget, store: Store) -> list[Line]:
+def lines_of(ablation: Ablation, store: Store) -> list[Line]:
     """What is done of an ablation.
 
     Args:
-        ablation: its settings.
-        budget: with its seeds.
+        ablation: its settings, and its budget.
         store: the runs.
 
     Returns:
@@ -37,26 +36,25 @@ def lines_of(ablation: Ablation, budget: Budget, store: Store) -> list[Line]:
     """
     lines = []
     for setting, parts in settings_of(ablation):
-        done = [run for run in runs_of(setting, parts, budget) if run in store]
+        done = [run for run in runs_of(ablation, setting, parts) if run in store]
         for method in setting.methods:
             if runs := [store[run] for run in done if run.method == method]:
                 lines.append(Line(setting.label, method, runs))
     return lines
 
 
-def write_ablation(name: str, budget: Budget, store: Store) -> Written:
+def write_ablation(name: str, ablation: Ablation, store: Store) -> Written:
     """Writes table and figure of what is done of an ablation.
 
     Args:
-        name: one of `ABLATIONS`.
-        budget: with its seeds.
+        name: of the files.
+        ablation: with its budget.
         store: the runs; the files go beside it.
 
     Raises:
         ResultsError: if a file cannot be written.
     """
-    ablation = ABLATIONS[name]
-    lines = lines_of(ablation, budget, store)
+    budget, lines = ablation.budget, lines_of(ablation, store)
     if not lines:
         return Written("", [])
     told = budget.told
