@@ -154,7 +154,6 @@ _UNITS = {
     "hull_angular_velocity": "rad/s",
     "weighted": "rad",
     "lander_tilt": "rad",
-    "torso_angle": "rad",
     "fall_risk": "probability of a fall",
 }
 """Of the indicators, for figures; they import no JAX."""

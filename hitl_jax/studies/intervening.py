@@ -24,7 +24,7 @@ from hitl_jax.studies.ablations.human_time import GUIDE, draw_points, measured
 from hitl_jax.studies.ablations.settings import Ablation, Budget, Setting
 from hitl_jax.studies.ablations.store import Store
 from hitl_jax.studies.ablations.write import lines_of
-from hitl_jax.sweep.changes import changed, of_task
+from hitl_jax.sweep.changes import Changes, changed, of_task
 from hitl_jax.sweep.launchers import LaunchOptions
 from hitl_jax.tasks import TASKS, task_of
 
@@ -44,6 +44,8 @@ _OPTIONS = {
     "delay": "delay",
     "interventions": "max_interventions",
 }
+_BASE: Changes = {}
+"""Of the task's defaults."""
 _METHODS = (Method.HITL_AC, Method.HITL_FIX)
 FIGURE = "study"
 
@@ -91,6 +93,7 @@ class StudyOptions:
         Raises:
             InvalidValue: one line with the name, the value and what is allowed.
         """
+        TASKS.check(self.env)
         one_of("method", self.method, _METHODS)
         require_seeds(self.first_seed, self.seeds)
         require_whole("episodes", self.episodes, at_least=1)
@@ -108,7 +111,7 @@ class StudyOptions:
         """What is run, by the number that is changed; equal settings of two are one run."""
         budget = Budget(self.seeds, self.first_seed, self.episodes, self.test_episodes)
         return {
-            name: Ablation(title, self._settings(name), budget, base={}, env=self.env)
+            name: Ablation(title, self._settings(name), budget, base=_BASE, env=self.env)
             for name, title in NUMBERS.items()
             if getattr(self, name)
         }

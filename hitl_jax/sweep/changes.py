@@ -1,10 +1,12 @@
 """Configurations told by what they change of the defaults."""
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple
 
 from hitl_jax.config import AgentConfig, Hyper, validate_hyper
-from hitl_jax.errors import InvalidValue
+from hitl_jax.envs import OUR_WALKERS, default_backend, make_pool
+from hitl_jax.errors import InvalidValue, Unplayable
 from hitl_jax.human.judgement import HumanParams
 from hitl_jax.tasks import task_of
 from hitl_jax.training.run_spec import LoopConfig
@@ -39,11 +41,33 @@ def of_task(env: str, changes: Changes) -> Parts:
     Raises:
         ValueError: one line, if the task cannot be had, or changes what is no option.
     """
-    task = task_of(env)
+    told = changes_of_task(env)
     try:
-        return changed(changes | dict(task.changes))
+        return changed(changes | told)
     except ValueError as error:
         raise InvalidValue("env", env, f"its task changes options: {error}") from error
+
+
+def changes_of_task(env: str) -> Changes:
+    """What a task changes; the environment is asked for sizes that the task does not say.
+
+    Raises:
+        InvalidValue: one line, if the task cannot be had, or its environment not be played.
+    """
+    task = task_of(env)
+    told = dict(task.changes)
+    if task.env_id in OUR_WALKERS or told.keys() >= {"observation_size", "action_size"}:
+        return told
+    try:
+        return _sizes_of(task.env_id) | told
+    except Unplayable as error:
+        raise InvalidValue("env", env, error.why) from error
+
+
+@functools.cache
+def _sizes_of(env_id: str) -> Changes:
+    with make_pool(default_backend(env_id), 1, env_id=env_id) as pool:
+        return {"observation_size": pool.observation_size, "action_size": pool.action_size}
 
 
 def changed(changes: Changes) -> Parts:

@@ -11,10 +11,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from hitl_jax.choices.registry import is_imported
-from hitl_jax.config import AgentConfig
 from hitl_jax.envs import OUR_WALKERS, WALKER, box2d, default_backend, make_pool, require_backend
-from hitl_jax.envs.base import WalkerPool, require_sizes
-from hitl_jax.errors import InvalidValue, LaunchError, ResultsError, Unplayable
+from hitl_jax.envs.base import require_sizes
+from hitl_jax.errors import LaunchError, ResultsError
 from hitl_jax.human.judgement import recorded
 from hitl_jax.results.atomic_files import locked
 from hitl_jax.results.episode_measures import ALARM_WINDOW, LOST_TESTS, num_lost
@@ -130,27 +129,9 @@ def with_backend(options: SweepOptions) -> tuple[SweepOptions, str]:
     require_backend(options.backend, played)
     if options.backend == "envpool" or is_imported(options.backend) or played not in OUR_WALKERS:
         # What is missing or does not fit is noticed before a folder is made.
-        try:
-            made = make_pool(options.backend, 1, env_id=options.env)
-        except Unplayable as error:
-            raise InvalidValue("env", options.env, error.why) from error
-        with contextlib.closing(made) as pool:
-            options = dataclasses.replace(options, agent=_sized(options, pool))
+        with contextlib.closing(make_pool(options.backend, 1, env_id=options.env)) as pool:
             require_sizes(pool, options.agent.observation_size, options.agent.action_size)
     return options, note
-
-
-def _sized(options: SweepOptions, pool: WalkerPool) -> AgentConfig:
-    """The team with the walkers' sizes, where neither an option nor the task gives any."""
-    names = ("observation_size", "action_size")
-    usual = AgentConfig()
-    told = task_of(options.env).changes.keys()
-    sizes = {
-        name: getattr(pool, name)
-        for name in names
-        if name not in told and getattr(options.agent, name) == getattr(usual, name)
-    }
-    return dataclasses.replace(options.agent, **sizes)
 
 
 def config_of(options: SweepOptions) -> dict[str, Any]:

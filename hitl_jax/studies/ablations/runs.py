@@ -22,7 +22,7 @@ from hitl_jax.studies.ablations.late_training import late_training
 from hitl_jax.studies.ablations.settings import Ablation, Setting
 from hitl_jax.studies.ablations.store import AREA, FALLS, Row, RunId, Store, digest
 from hitl_jax.sweep.autosave import SAVE_SECONDS
-from hitl_jax.sweep.changes import Parts, changed
+from hitl_jax.sweep.changes import Parts, changed, changes_of_task
 from hitl_jax.sweep.launchers import LaunchOptions
 from hitl_jax.sweep.run_sweep import Display
 from hitl_jax.sweep.train_and_test import Batch, Tested, Walkers, make_team
@@ -128,9 +128,9 @@ def batch_of(group: Group) -> Batch:
 
 def settings_of(ablation: Ablation) -> Iterator[tuple[Setting, Parts]]:
     """Its settings, each with the options that it stands for."""
-    task = task_of(ablation.env).changes
+    task = changes_of_task(ablation.env)
     for setting in ablation.settings:
-        yield setting, changed(ablation.base | dict(task) | setting.changes)
+        yield setting, changed(ablation.base | task | setting.changes)
 
 
 def runs_of(ablation: Ablation, setting: Setting, parts: Parts) -> list[RunId]:
