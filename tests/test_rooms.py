@@ -19,6 +19,7 @@ _ROOMS = (
         "reports",
         "agreement",
         "live",
+        "exchange",
         "benchmarks",
         "faults",
         "commands",

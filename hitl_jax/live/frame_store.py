@@ -68,6 +68,10 @@ class FrameStore:
         """A flag of a frame: `alarmed`, `dangerous` (by the labels of now), `control`, ..."""
         return bool(self._flags[name][number % self.size])
 
+    def env_reward(self, number: int) -> float:
+        """The environment's reward of the step from a frame; 0 where there was none."""
+        return float(self._reward[number % self.size])
+
     def control_label(self, number: int) -> int:
         """The label by which a person had control at a frame; negative where there is none."""
         return int(self._label[number % self.size])

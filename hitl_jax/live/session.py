@@ -134,6 +134,10 @@ class Session:
         """A flag of a frame that has been played: `alarmed`, `dangerous`, `control`, ..."""
         return self._store.flag(name, number)
 
+    def env_reward(self, number: int) -> float:
+        """The environment's reward of the step from a frame that has been played."""
+        return self._store.env_reward(number)
+
     def frames(self, first: int, stop: int) -> np.ndarray:
         """Frames [first, stop) as the replay holds them, [.., W]."""
         return self._store.frames(first, stop)

@@ -10,7 +10,7 @@ from hitl_jax.results.atomic_files import named_errors
 from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.results.json_documents import options_of
 from hitl_jax.results.run_key import RunKey, sort_keys
-from hitl_jax.sweep import recorded_human
+from hitl_jax.sweep import fitted_human, recorded_human
 from hitl_jax.sweep.train_and_test import make_team, policy_digest
 from hitl_jax.team import checkpoint
 from hitl_jax.team.agent import Agent
@@ -36,6 +36,9 @@ def agent_of(folder: ResultsFolder, human_policy: str | None = None) -> Agent:
     made = folder.load_config()
     places = {"backend": made.get("backend"), "env": made.get("task", {}).get("env")}
     require_trusted(folder.path / "config.json", vars(config) | places)
+    fitted = fitted_human.load_from_results(folder)
+    if fitted is not None:
+        return make_team(config, human_policy, fitted.judge, fitted.source)
     return make_team(config, human_policy, recorded_human.load_from_results(folder))
 
 

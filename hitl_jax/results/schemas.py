@@ -57,6 +57,7 @@ class KnownConfig(Struct):
     alarm_window: Count | UnsetType = UNSET
     human_policy: Digest | UnsetType | None = UNSET
     human: Digest | UnsetType = UNSET
+    fitted_human: Digest | UnsetType = UNSET
     agent: _Agent | UnsetType = UNSET
     hyper: _Hyper | UnsetType = UNSET
 

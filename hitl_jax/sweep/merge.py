@@ -10,7 +10,7 @@ from hitl_jax.errors import ResultsError
 from hitl_jax.results.atomic_files import locked
 from hitl_jax.results.config_diff import require_same
 from hitl_jax.results.folder import ResultsFolder
-from hitl_jax.sweep import recorded_human
+from hitl_jax.sweep import fitted_human, recorded_human
 from hitl_jax.sweep.shards import Shard
 
 _NAMED = 5
@@ -23,13 +23,15 @@ class Merge(NamedTuple):
         folders: one for each shard.
         shards: which they are.
         out: where their runs go; what is there of the same sweep stays.
-        dangerous: the recorded human of the shards, bool [T]; None where it was simulated.
+        dangerous: the recorded human of the shards, bool [T]; None where it was another.
+        fitted: their fitted human; None where it was another.
     """
 
     folders: Sequence[ResultsFolder]
     shards: Sequence[Shard]
     out: ResultsFolder
     dangerous: np.ndarray | None
+    fitted: fitted_human.FittedHuman | None
 
     def copy(self) -> int:
         """Copies all runs; how many the folder has then.
@@ -38,6 +40,7 @@ class Merge(NamedTuple):
             ResultsError: if the disk refuses.
         """
         recorded_human.save_to_results(self.out.path, self.dangerous)
+        fitted_human.save_to_results(self.out.path, self.fitted)
         there = self.out.finished()
         for folder, shard in zip(self.folders, self.shards, strict=True):
             for key in shard.runs():
@@ -66,9 +69,10 @@ def prepared(folders: Sequence[ResultsFolder], out: ResultsFolder, command: str)
         _require_finished(folder, shard)
     config = folders[0].load_config()
     dangerous, *_ = [recorded_human.load_kept(folder) for folder in folders]
+    fitted, *_ = [fitted_human.load_from_results(folder) for folder in folders]
     with locked(out.path):
         out.create_or_resume(config, command)
-        yield Merge(folders, shards, out, dangerous)
+        yield Merge(folders, shards, out, dangerous, fitted)
 
 
 def _shard_of(folder: ResultsFolder) -> Shard:

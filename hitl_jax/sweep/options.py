@@ -24,7 +24,7 @@ from hitl_jax.envs import BACKENDS, OUR_WALKERS, WALKER
 from hitl_jax.errors import InvalidValue
 from hitl_jax.evaluation.trials import MOST_TEST_EPISODES, milestones
 from hitl_jax.learner.frame import Layout
-from hitl_jax.sweep import recorded_human, shards
+from hitl_jax.sweep import fitted_human, recorded_human, shards
 from hitl_jax.sweep.autosave import SAVE_SECONDS
 from hitl_jax.sweep.changes import Parts, of_task
 from hitl_jax.sweep.launchers import LaunchOptions
@@ -35,6 +35,10 @@ from hitl_jax.tasks import TASKS, task_of
 from hitl_jax.training.run_spec import LoopConfig, RunSpec, num_slots
 
 _MOST_WORKERS = 1024
+_JUDGES = {
+    recorded_human.PREFIX: "whose judgements are played back",
+    fitted_human.PREFIX: "who judges as they were fitted to",
+}
 _OURS_ALONE = ("lean", "jax")
 
 
@@ -67,8 +71,9 @@ class SweepOptions:
         workers: processes that step walkers, or CPU devices with `jax` (default: one a core).
         slots: runs at a time, at least two a core; the others wait. Each takes capacity x 148 bytes
             of memory.
-        human: `simulated`, by the options below, or `recorded:FILE`, a person's judgements in a
-            live session (see `hitl-jax recorded`), played back step by step.
+        human: `simulated`, by the options below; `recorded:FILE`, a person's judgements in a live
+            session (see `hitl-jax recorded`), played back step by step; or `fitted:FILE`, who was
+            fitted to what a person did (see `hitl-jax import`).
         human_policy: a `params.npz` whose actor gives the human's actions (default: as
             `human_actions` says).
         log: logs of all runs in other tools' formats, written as they go on:
@@ -212,13 +217,15 @@ class SweepOptions:
             why = "leaves srl nothing to learn from: name other methods"
             raise InvalidValue("reward_weight", 0, why, mentions=("methods",))
         if self.human != recorded_human.SIMULATED:
+            kind = fitted_human.PREFIX if self.human.startswith(fitted_human.PREFIX) else None
+            kind = kind or recorded_human.PREFIX
+            why = f"has no meaning beside human {kind}FILE, {_JUDGES[kind]}"
             if self.human_preset != AS_PRESET:
-                why = "has no meaning beside human recorded:FILE, whose judgements are played back"
                 raise InvalidValue("human_preset", self.human_preset, why, mentions=("human",))
             require_no_simulated_judge(
                 Parts(self.agent, self.loop, self.hyper, self.human_policy),
                 Parts(usual.agent, usual.loop, usual.hyper, usual.human_policy),
-                "has no meaning beside human recorded:FILE, whose judgements are played back",
+                why,
                 mentions=("human",),
             )
         own = is_imported(self.backend) or played not in OUR_WALKERS

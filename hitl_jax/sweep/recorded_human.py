@@ -39,7 +39,7 @@ def load(human: str) -> np.ndarray | None:
     if human == SIMULATED:
         return None
     if not human.startswith(PREFIX):
-        raise InvalidValue("human", human, f"must be {SIMULATED} or {PREFIX}FILE")
+        raise InvalidValue("human", human, f"must be {SIMULATED}, {PREFIX}FILE or fitted:FILE")
     return _read(pathlib.Path(human.removeprefix(PREFIX)), human)
 
 

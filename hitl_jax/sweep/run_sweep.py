@@ -24,7 +24,7 @@ from hitl_jax.results.episode_tables import (
     to_columns,
 )
 from hitl_jax.results.folder import ResultsFolder
-from hitl_jax.sweep import recorded_human
+from hitl_jax.sweep import fitted_human, recorded_human
 from hitl_jax.sweep.background_figures import BackgroundFigures, draw
 from hitl_jax.sweep.launchers import Launcher
 from hitl_jax.sweep.logs import SweepLogs
@@ -93,13 +93,17 @@ def prepared(options: SweepOptions, command: str, say: Callable[[str], None]) ->
         ResultsError: one line, if the folder cannot be used.
     """
     options, note = with_backend(options.checked())
-    dangerous = recorded_human.load(options.human)
-    judge = None if dangerous is None else recorded(dangerous)
-    agent = make_team(options.agent, options.human_policy, judge)
+    fitted = fitted_human.load(options.human)
+    dangerous = None if fitted else recorded_human.load(options.human)
+    if fitted is not None:
+        agent = make_team(options.agent, options.human_policy, fitted.judge, fitted.source)
+    else:
+        judge = None if dangerous is None else recorded(dangerous)
+        agent = make_team(options.agent, options.human_policy, judge)
     validate(agent, options.hyper)
     options = dataclasses.replace(options, hyper=agent.with_extra(options.hyper))
     folder = ResultsFolder(options.out)
-    config = config_of(options) | recorded_human.digest(dangerous)
+    config = config_of(options) | recorded_human.digest(dangerous) | fitted_human.digest(fitted)
     with options.launch.ready(), contextlib.ExitStack() as held:
         if note:
             say(note)
@@ -108,6 +112,7 @@ def prepared(options: SweepOptions, command: str, say: Callable[[str], None]) ->
         changed = folder.create_or_resume(config, command, part and part._asdict())
         folder.require_free(spec.key for spec in options.specs())
         recorded_human.save_to_results(folder.path, dangerous)
+        fitted_human.save_to_results(folder.path, fitted)
         if changed:
             say(f"{options.out} was begun with {'; '.join(changed)}")
         yield Prepared(options, agent, folder, config)

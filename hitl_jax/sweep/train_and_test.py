@@ -46,7 +46,10 @@ class Walkers(NamedTuple):
 
 
 def make_team(
-    config: AgentConfig, human_policy: str | None, judge: HumanPart | None = None
+    config: AgentConfig,
+    human_policy: str | None,
+    judge: HumanPart | None = None,
+    source: actions.ActionSource | None = None,
 ) -> Agent:
     """The team that the options describe.
 
@@ -55,11 +58,11 @@ def make_team(
         human_policy: a `params.npz` whose actor gives the human's actions; None: as
             `human_actions` says.
         judge: a human of one's own; None is the simulated one.
+        source: their hands, where no file gives the actions; None: as `human_actions` says.
 
     Raises:
         ValueError: one line, if the file is no checkpoint of such a walker.
     """
-    source = None
     if human_policy is not None:
         actor = checkpoint.load_actor(human_policy, config.observation_size, config.action_size)
         *hidden, size = checkpoint.hidden_sizes(actor)

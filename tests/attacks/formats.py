@@ -37,10 +37,11 @@ from hitl_jax.playback import load_trained
 from hitl_jax.results.atomic_files import named_errors
 from hitl_jax.results.diagnostic_table import FILE as DIAGNOSTICS
 from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.npz_archives import from_npz
 from hitl_jax.studies.ablations.store import Store
 from hitl_jax.studies.tuning import table as tuning_table
 from hitl_jax.studies.tuning.options import TuningOptions
-from hitl_jax.sweep import recorded_human
+from hitl_jax.sweep import fitted_human, recorded_human
 from hitl_jax.team import checkpoint
 from hitl_jax.training.saved_run_store import Saves
 
@@ -98,6 +99,10 @@ def _read_partials(root: pathlib.Path) -> Any:
 
 def _read_judged(root: pathlib.Path) -> Any:
     return recorded_human.load(recorded_human.PREFIX + str(root / "judged.npz"))
+
+
+def _read_fitted(root: pathlib.Path) -> Any:
+    return from_npz(fitted_human.load(fitted_human.PREFIX + str(root / "fitted.npz")).data)
 
 
 def _read_policy(root: pathlib.Path) -> Any:
@@ -240,6 +245,7 @@ FORMATS = (
     Format("partial episodes", "sweep/partial/srl-seed-0001.csv", _read_partials, _CSV, like_csv),
     Format("human.npz", "recorded/human.npz", _read_recorded, _ARRAYS, never),
     Format("--human", "judged.npz", _read_judged, _ARRAYS, like_judgements),
+    Format("--human, fitted", "fitted.npz", _read_fitted, _ARRAYS, like_arrays),
     Format("--human-policy", f"old/{RUN}/params.npz", _read_policy, _ARRAYS, like_an_actor),
     Format("--start", f"old/{RUN}/params.npz", _read_start, _ARRAYS, like_arrays),
     Format(

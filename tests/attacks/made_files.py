@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import itertools
 import json
 import pathlib
 from typing import Any
@@ -19,6 +20,7 @@ from hitl_jax.live.session import Session
 from hitl_jax.results.diagnostic_table import FILE as DIAGNOSTICS
 from hitl_jax.results.episode_tables import EPISODE_COLUMNS, PROGRESS_COLUMNS, TEST_COLUMNS
 from hitl_jax.results.folder import ResultsFolder
+from hitl_jax.results.npz_archives import to_npz
 from hitl_jax.results.recorded_episodes import STEP_COLUMNS, Recording
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.studies.ablations.store import _COLUMNS
@@ -59,10 +61,22 @@ SAMPLES = [
 ]
 
 
+def _fitted_human(rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Arrays of small networks: of danger, and of hands."""
+    arrays = {"delay": np.array(10, np.int32), "least_expectation": np.array(0.4, np.float32)}
+    for prefix, widths in (("network", (24, 8, 1)), ("actor", (24, 8, 4))):
+        for place, (size, width) in enumerate(itertools.pairwise(widths)):
+            head = f"{prefix}/params/Dense_{place}"
+            arrays[f"{head}/kernel"] = rng.normal(size=(size, width)).astype(np.float32)
+            arrays[f"{head}/bias"] = np.zeros(width, np.float32)
+    return arrays
+
+
 def make(root: pathlib.Path) -> None:
     """Makes a folder in which every format occurs."""
     rng = np.random.default_rng(0)
     recorded_human.write(root / "judged.npz", DANGEROUS)
+    (root / "fitted.npz").write_bytes(to_npz(_fitted_human(rng)))
     config = config_of_a_sweep()
     for name in ("sweep", "old", "recorded"):
         human = human_of(name)

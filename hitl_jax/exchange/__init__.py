@@ -1,0 +1,1 @@
+"""What people and walkers did, in formats that other libraries read."""
