@@ -128,7 +128,7 @@ def _bodies(push: jax.Array) -> World:
 def _advance(
     before: World, action: jax.Array, terrain: Terrain
 ) -> tuple[World, jax.Array, jax.Array]:
-    """State after a step, observation [24, B] and the hull's x [B] [m]; the batch is last."""
+    """State after a step, observation [24, B] and the hull's x [B], in m; the batch is last."""
     speed = jnp.asarray(constants.SPEEDS[:, None], jnp.float32) * jnp.sign(action)
     torque = constants.TORQUE * jnp.clip(jnp.abs(action), 0, 1)
     after = world.step(before, speed, torque, terrain)
@@ -144,7 +144,7 @@ def observe(now: World, terrain: Terrain) -> tuple[jax.Array, jax.Array]:
         terrain: the ground, leaves [TERRAIN_LENGTH, B].
 
     Returns:
-        Observations [24, B], and the hulls' x [B] [m].
+        Observations [24, B], and the hulls' x [B], in m.
     """
     angle, spin = now.angle[0], now.spin[0]
     body = pose(Vec(now.place.x[0], now.place.y[0]), angle)
