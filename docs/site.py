@@ -27,13 +27,16 @@ _REFERENCE = (
 """Modules whose docstrings are the reference."""
 
 
+_STAGE = pathlib.Path(tempfile.mkdtemp(prefix="hitl_jax-site-"))
+
+
 def on_config(config: Any) -> Any:
     """Copies the pages, and the pictures and files that they show, into a folder of their own.
 
     Args:
         config: of mkdocs.
     """
-    stage = pathlib.Path(tempfile.mkdtemp(prefix="hitl_jax-site-"))
+    stage = _STAGE
     docs = [path.relative_to(_ROOT) for path in sorted((_ROOT / "docs").glob("*.md"))]
     for page in [*map(pathlib.Path, _PAGES), *docs]:
         _copy(stage, page)
@@ -47,13 +50,9 @@ def on_config(config: Any) -> Any:
     return config
 
 
-def on_post_build(config: Any) -> None:
-    """Removes that folder.
-
-    Args:
-        config: of mkdocs.
-    """
-    shutil.rmtree(config["docs_dir"])
+def on_shutdown() -> None:
+    """Removes that folder."""
+    shutil.rmtree(_STAGE)
 
 
 def _copy(stage: pathlib.Path, path: pathlib.Path) -> None:

@@ -22,6 +22,6 @@ def steps_per_second_of(config: dict[str, Any]) -> float:
 def marks_of(config: dict[str, Any]) -> tuple[int, ...]:
     """Returns to be reached by the trailing mean: 0, and thirds of what solves the task, rising."""
     solved = solved_of(config)
-    if solved is None:
+    if solved is None or solved <= 0:
         return ()
     return tuple(sorted({round(solved * third / 3) for third in range(4)}))

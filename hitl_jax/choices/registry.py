@@ -25,9 +25,6 @@ _LONGEST = 100
 """Of a name from somebody else's file in a message."""
 
 _IMPORTED = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
-_NAMES_CODE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:")
-"""Of what names a module's code: a choice, or an environment that a module registers."""
-
 _NAME = re.compile(r"\w[\w.+-]*")
 _REGISTRIES: "list[Registry[Any]]" = []
 
@@ -165,6 +162,16 @@ class Registry(Mapping[str, Entry], Generic[T]):
             self._made[asked] = made
         return self._made[asked]
 
+    def value_of(self, choice: str) -> Any:
+        """What stands behind a name, the choice or what makes it; imports what is not registered.
+
+        Raises:
+            InvalidValue: one line, if there is nothing of this name.
+        """
+        self.check(choice)
+        entry = self._entries.get(choice)
+        return self._imported(choice) if entry is None else entry.value
+
     def _from(
         self,
         value: Any,
@@ -269,8 +276,8 @@ def is_imported(choice: Any) -> bool:
 
 
 def names_code(choice: Any) -> bool:
-    """Whether a name makes a module be imported: a choice, or `module:Name-v0`."""
-    return isinstance(choice, str) and _NAMES_CODE.match(choice) is not None
+    """Whether a name makes a module be imported: `module:name`, whatever letters either has."""
+    return isinstance(choice, str) and ":" in choice
 
 
 def require_trusted(source: object, values: Mapping[str, Any]) -> None:

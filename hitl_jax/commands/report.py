@@ -13,7 +13,7 @@ class ReportOptions:
     """Rebuilds REPORT.md, the summaries, the tables and the figures of a folder of results.
 
     Attributes:
-        results: the folder, with `full`, `steady_noise`, `fading`, `ten_seeds`, `ten_seeds_ddpg`,
+        results: the folder, with `full`, `steady_noise`, `fading`, `ten_seeds`, `paper`,
             `foresight_ddpg`, `foresight_120`, `foresight_160`, `ablations`, `network` and
             `tuning` in it, and what people wrote of the scope (`scope.md`); what is missing is said
             in the report.

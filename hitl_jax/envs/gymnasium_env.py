@@ -7,6 +7,7 @@ The names are registered when this module is imported. The walkers end their own
 gymnasium's 1600 (hardcore 2000) steps.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -72,12 +73,16 @@ class WalkerVectorEnv(gymnasium.vector.VectorEnv):
         Returns:
             Observations [N, 24], and nothing.
         """
-        super().reset(seed=seed if isinstance(seed, int) else None)
-        given = range(seed, seed + self.num_envs) if isinstance(seed, int) else seed
+        given: Sequence[int | None] = ()
+        if isinstance(seed, int | np.integer):
+            given = range(int(seed), int(seed) + self.num_envs)
+        elif seed is not None:
+            given = list(seed)
+        super().reset(seed=next((int(one) for one in given if one is not None), None))
         seeds = self._drawn()
-        for place, one in enumerate(given or ()):
+        for place, one in enumerate(given):
             if one is not None:
-                seeds[place] = one % _MOST_SEED
+                seeds[place] = int(one) % _MOST_SEED
         answer = self._tick(np.full(self.num_envs, Command.RESET), None, seeds)
         return answer.observation, {}
 

@@ -40,14 +40,14 @@ class Fit(NamedTuple):
 
     Attributes:
         arrays: of the file.
-        delay: of how many steps before the state is that foretells the judgements best. Where one
-            state follows smoothly from another this is no person's reaction time.
+        delay: how many steps back the state lies that best predicts a judgement. Since neighbouring
+            states are alike, this is not the person's reaction time.
         steps: judged steps that were held out.
         dangerous: share of them that the person judged dangerous.
         agrees: share of them on which both agree.
         missed: share of the dangerous ones that the fitted human finds safe; NaN without any.
         feared: share of the others that they find dangerous; NaN without any.
-        hand_steps: steps in the person's hands.
+        hand_steps: steps in the person's hands that were not held out.
         explained: share of the variance of the person's actions that the hands explain, on held-out
             steps; NaN without hands or without such steps.
     """
@@ -72,13 +72,14 @@ def fit(episodes: Sequence[Played]) -> Fit:
     Raises:
         ResultsError: one line, if there is too little to fit to.
     """
-    judged = sum(int(one.judged.sum()) for one in episodes)
-    if judged < _LEAST_STEPS or len(episodes) < 3:
+    shown = [one for one in episodes if one.judged[max(_DELAYS) :].any()]
+    judged = sum(int(one.judged.sum()) for one in shown)
+    if judged < _LEAST_STEPS or len(shown) < 3:
         raise ResultsError(
-            f"{judged} judged steps of {len(episodes)} episodes: must be at least {_LEAST_STEPS} "
-            "steps of 3 episodes"
+            f"{judged} judged steps of {len(shown)} episodes that are longer than {max(_DELAYS)} "
+            f"steps: must be at least {_LEAST_STEPS} steps of 3 such episodes"
         )
-    parts = _split(episodes)
+    parts = _split(shown)
     keys = jax.random.split(jax.random.key(0))
     tried = {delay: _try_danger(parts, delay, keys[0]) for delay in _DELAYS}
     best = min(tried, key=lambda delay: tried[delay].loss)
@@ -101,7 +102,7 @@ def fit(episodes: Sequence[Played]) -> Fit:
         agrees=_share(found == dangerous),
         missed=_share(~found[dangerous]),
         feared=_share(found[~dangerous]),
-        hand_steps=sum(int(one.human_action.sum()) for one in episodes),
+        hand_steps=sum(len(_in_hands(parts[name])[0]) for name in ("fit", "choose")),
         explained=explained,
     )
 

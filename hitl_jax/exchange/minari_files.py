@@ -3,7 +3,7 @@
 import contextlib
 import os
 import pathlib
-import re
+import shutil
 import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -15,7 +15,6 @@ from hitl_jax.exchange.played import Played, Source
 from hitl_jax.tasks import task_of
 
 _ROOT = "MINARI_DATASETS_PATH"
-_ID = re.compile(r"([\w-]+/)*[\w-]+-v\d+")
 
 _NO_SEED = -1
 
@@ -31,9 +30,14 @@ def require_id(dataset: str) -> None:
         InvalidValue: one line.
         ImportError: one line that says what to install.
     """
-    if not _ID.fullmatch(dataset):
-        raise InvalidValue("id", dataset, "must be like walker/session-v0")
     _import()
+    from minari.dataset.minari_dataset import parse_dataset_id
+
+    try:
+        if parse_dataset_id(dataset)[2] is None:
+            raise ValueError("it has no version")
+    except (ValueError, TypeError) as error:
+        raise InvalidValue("id", dataset, f"must be like walker/session-v0: {error}") from error
 
 
 def write(root: pathlib.Path, dataset: str, source: Source) -> tuple[int, int]:
@@ -78,8 +82,11 @@ def write(root: pathlib.Path, dataset: str, source: Source) -> tuple[int, int]:
                 author="hitl_jax",
                 description=f"{source.told}, hitl_jax; infos: {', '.join(INFOS)}",
             )
-    except (ValueError, OSError, ImportError, gymnasium.error.Error) as error:
-        raise ResultsError(f"{root / dataset}: {said_by(error)}") from error
+    except BaseException as error:
+        shutil.rmtree(root / dataset, ignore_errors=True)  # A half of one disturbs Minari.
+        if isinstance(error, Exception):
+            raise ResultsError(f"{root / dataset}: {said_by(error)}") from error
+        raise
     return len(episodes), sum(len(one.rewards) for one in episodes)
 
 
@@ -121,14 +128,20 @@ def _played(episode: Any, name: str, seed: Any, low: np.ndarray, high: np.ndarra
         for flag in INFOS
         if flag != "boundary"
     }
+    boundary = np.asarray(infos.get("boundary", np.full(steps + 1, np.nan)), np.float32)[1:]
+    shapes = {len(values) for values in flags.values()} | {len(boundary), len(episode.actions)}
+    seen = np.asarray(episode.observations, np.float32)
+    if shapes != {steps} or len(seen) != steps + 1:
+        raise ValueError(f"{name}: its columns have different lengths")
+    if not (np.isfinite(seen).all() and np.isfinite(episode.actions).all()):
+        raise ValueError(f"{name}: holds numbers that are not finite")
     # Bounds of -1 and 1 change no digit.
     scaled = 2 * (episode.actions - low) / (high - low) - 1
     actions = episode.actions if (low == -1).all() and (high == 1).all() else scaled
-    boundary = np.asarray(infos.get("boundary", np.full(steps + 1, np.nan)), np.float32)[1:]
     return Played(
         name=name,
         seed=_NO_SEED if seed is None or seed == "None" else int(seed),
-        observations=np.asarray(episode.observations, np.float32),
+        observations=seen,
         actions=np.asarray(actions, np.float32),
         rewards=np.asarray(episode.rewards, np.float32),
         terminated=np.asarray(episode.terminations, bool),

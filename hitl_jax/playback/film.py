@@ -25,6 +25,8 @@ _GIF_HOLD = 1500  # milliseconds of the last picture, before the film begins aga
 _HUMAN, _MACHINE, _ALARM = "#CC79A7", COLOURS["hitl-ac"], COLOURS["srl"]
 _PANEL = 78  # height of what is written over the sky, in pixels
 _GAUGE = (300, 580)  # from where to where it reaches, in pixels
+_NOT_DRAWN = (RuntimeError, AttributeError, TypeError, ValueError)
+"""What environments raise that cannot draw themselves, or not here."""
 _FONT = ("fonts", "ttf", "DejaVuSans.ttf")
 """Below matplotlib's data."""
 
@@ -69,6 +71,8 @@ def play(backend: str, env_id: str, seed: int, actions: np.ndarray, pictures: bo
         ResultsError: one line, if the environment cannot draw itself here.
     """
     if env_id != WALKER:
+        if backend == "jax":
+            raise ResultsError(f"{env_id} of backend jax cannot be drawn")
         yield from _played_by_gymnasium(env_id, seed, actions, pictures)
         return
     plant = _JaxPlant() if backend == "jax" else VisibleWalker()
@@ -98,7 +102,7 @@ def _played_by_gymnasium(env_id: str, seed: int, actions: np.ndarray, pictures: 
             yield observation, picture, float(np.float32(np.asarray(reward).item()))
             observation = after
         env.close()
-    except (gymnasium.error.Error, ImportError, RuntimeError, AttributeError) as error:
+    except (gymnasium.error.Error, ImportError, *_NOT_DRAWN) as error:
         raise ResultsError(f"{env_id} cannot be drawn here: {said_by(error)}") from error
 
 

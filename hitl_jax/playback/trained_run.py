@@ -103,8 +103,10 @@ def load_run(path: str | os.PathLike[str]) -> TrainedRun:
     """
     run = pathlib.Path(path).resolve()
     method, seed = run.parent.name, run.name.removeprefix("seed-")
-    if run.parents[1].name != "runs" or not seed.isdecimal():
+    if len(run.parts) < 4 or run.parents[1].name != "runs" or not seed.isdecimal():
         raise ResultsError(f"{path}: must be a run's folder, RESULTS/runs/METHOD/seed-NNNN")
     folder = ResultsFolder(run.parents[2])
-    agent = agent_of(folder)
-    return TrainedRun(agent, *load_trained(agent, folder, RunKey(method, int(seed))))
+    agent, key = agent_of(folder), RunKey(method, int(seed))
+    if folder.load_run(key).diverged:
+        raise ResultsError(f"{path}: diverged in training; there is nothing to call")
+    return TrainedRun(agent, *load_trained(agent, folder, key))

@@ -35,7 +35,7 @@ _COMPARISONS = (
     Compared("`--noise-steps 0 --tested-actor last`", "steady_noise"),
     Compared("`--tested-actor last`", "fading"),
     Compared("`--preset paper --learner td3-tqc`", "ten_seeds"),
-    Compared("`--preset paper`", "ten_seeds_ddpg"),
+    Compared("`--preset paper`", "paper"),
 )
 
 

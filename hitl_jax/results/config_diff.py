@@ -12,6 +12,9 @@ _LONGEST = 100
 _THEN = ", then "
 _LEARNER, _PARTS = "agent.boundary_learner", "agent.margin_parts"
 
+_SHOWN = ("solved", "steps_per_second")
+"""Of a task: what figures and tables say of it, and no run depends on."""
+
 CAME_LATER: dict[str, dict[str, Any]] = {
     "agent": {
         "matmul_precision": "float32",
@@ -79,6 +82,9 @@ def completed(config: dict[str, Any]) -> dict[str, Any]:
 def compared(config: dict[str, Any]) -> dict[str, Any]:
     """A config, completed, without the choices that mean nothing in it: what is compared."""
     whole = completed(config)
+    task = whole.get("task")
+    if isinstance(task, dict):
+        whole["task"] = {name: task[name] for name in task if name not in _SHOWN}
     agent = whole.get("agent")
     if isinstance(agent, dict) and agent["boundary_learner"] == "printed":
         whole["agent"] = {name: agent[name] for name in agent if name != "margin_parts"}

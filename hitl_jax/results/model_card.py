@@ -29,7 +29,9 @@ def model_card(key: RunKey, info: Mapping[str, Any], episodes: Table, tests: Tab
         tests: at the end.
     """
     config = info["config"]
-    env, agent = config.get("task", {}).get("env", "BipedalWalker-v3"), config.get("agent", {})
+    backend, agent = config.get("backend", "lean"), config.get("agent", {})
+    own = f"walkers of {backend}" if ":" in backend else "BipedalWalker-v3"
+    env = config.get("task", {}).get("env", own)
     alone, helped = (select(tests, "mode", mode) for mode in ("autonomous", "assisted"))
     rows = {
         "task": env,
@@ -37,9 +39,7 @@ def model_card(key: RunKey, info: Mapping[str, Any], episodes: Table, tests: Tab
         "training": f"{len(episodes['episode'])} episodes, {info['env_steps']:,} steps",
     }
     if key.method != "srl":
-        names = ("danger", "intervention", "human_actions")
-        chosen = [agent.get(name, "unknown") for name in names]
-        rows["simulated human"] = "danger {}, intervention {}, hands {}".format(*chosen)
+        rows["human"] = _human(config, agent)
         share = episodes["human_steps"].sum() / max(int(episodes["length"].sum()), 1)
         rows["in human hands"] = f"{share:.1%} of the training steps"
     rows["tested alone"] = _tested(alone)
@@ -48,11 +48,12 @@ def model_card(key: RunKey, info: Mapping[str, Any], episodes: Table, tests: Tab
     rows["code"] = f"commit {info['commit'] or 'unknown'}"
     table = "\n".join(f"| {name} | {value} |" for name, value in rows.items())
     lost = "Its numbers turned not finite in training: it is of no use.\n\n"
-    diverged = lost if info.get("diverged") else ""
+    lost = lost if info.get("diverged") else ""
+    head = _head(key.method, env, alone, bool(lost))
     return (
-        f"{_head(key.method, env, alone)}# {key.method.upper()}, seed {key.seed}, on {env}\n\n"
+        f"{head}# {key.method.upper()}, seed {key.seed}, on {env}\n\n"
         "A policy that hitl_jax trained (human-in-the-loop actor-critic). "
-        f"{_WHAT.get(key.method, '')}\n\n| | |\n| --- | --- |\n{table}\n\n{diverged}{_USE}"
+        f"{_WHAT.get(key.method, '')}\n\n| | |\n| --- | --- |\n{table}\n\n{lost}{_USE}"
     )
 
 
@@ -65,8 +66,24 @@ action = policy(observation)  # In [-1, 1].
 ```
 
 One seed of an experiment: the results folder has the others, and what may be concluded from all. It
-was trained and tested in simulation alone; no person took part.
+was trained and tested in simulation alone.
 """
+
+
+def _human(config: Mapping[str, Any], agent: Mapping[str, Any]) -> str:
+    intervention = f"intervention {agent.get('intervention', 'unknown')}"
+    if config.get("human"):
+        judges = "a person's recorded judgements"
+    elif config.get("fitted_human"):
+        judges = "a model that was fitted to a person, or to another human"
+    else:
+        judges = f"simulated, danger {agent.get('danger', 'unknown')}"
+    hands = f"hands {agent.get('human_actions', 'unknown')}"
+    if config.get("human_policy"):
+        hands = "hands of a policy that was given"
+    elif config.get("fitted_human"):
+        hands = f"{hands}, or those of the model"
+    return f"{judges}; {intervention}, {hands}"
 
 
 def _tested(table: Table) -> str:
@@ -77,7 +94,7 @@ def _tested(table: Table) -> str:
     return f"{told}, {table['fall'].mean():.0%} with a fall"
 
 
-def _head(method: str, env: str, alone: Table) -> str:
+def _head(method: str, env: str, alone: Table, diverged: bool) -> str:
     """YAML, as https://huggingface.co/docs/hub/model-cards has it; JSON's strings are YAML's."""
     tags = json.dumps(["reinforcement-learning", "human-in-the-loop", env])
     head = {
@@ -85,7 +102,7 @@ def _head(method: str, env: str, alone: Table) -> str:
         "pipeline_tag": "reinforcement-learning",
         "tags": tags,
     }
-    if len(alone["return"]):
+    if len(alone["return"]) and not diverged:
         result = {
             "task": {"type": "reinforcement-learning"},
             "dataset": {"name": env, "type": env},

@@ -43,7 +43,7 @@ class _Hyper(Struct):
 
 class _Task(Struct):
     env: Text
-    solved: float | UnsetType | None = UNSET
+    solved: Annotated[float, Meta(ge=-1e9, le=1e9)] | UnsetType | None = UNSET
     steps_per_second: Annotated[float, Meta(gt=0.0)] | UnsetType = UNSET
 
 

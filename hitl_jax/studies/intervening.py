@@ -98,6 +98,9 @@ class StudyOptions:
         require_seeds(self.first_seed, self.seeds)
         require_whole("episodes", self.episodes, at_least=1)
         require_whole("test_episodes", self.test_episodes, 1, MOST_TEST_EPISODES)
+        if not any(getattr(self, name) for name in NUMBERS):
+            why = "all four numbers have no values: nothing is to be studied"
+            raise InvalidValue("takeover_steps", "(none)", why)
         for name in NUMBERS:
             values = getattr(self, name)
             if len(set(values)) < len(values):

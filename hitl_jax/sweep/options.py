@@ -202,6 +202,8 @@ class SweepOptions:
         require_whole("slots", self.slots, at_least=1)
         if self.workers is not None:
             require_whole("workers", self.workers, 1, _MOST_WORKERS)
+        if len(set(self.log)) < len(self.log):
+            raise InvalidValue("log", " ".join(self.log), "each at most once")
         for name in self.log:
             require_log(name)
         require("save_seconds", self.save_seconds, at_least=0.0)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from hitl_jax.choices.checks import require_default
 from hitl_jax.choices.registry import is_imported
 from hitl_jax.envs import OUR_WALKERS, WALKER, box2d, default_backend, make_pool, require_backend
 from hitl_jax.envs.base import require_sizes
@@ -96,6 +97,12 @@ def prepared(options: SweepOptions, command: str, say: Callable[[str], None]) ->
     fitted = fitted_human.load(options.human)
     dangerous = None if fitted else recorded_human.load(options.human)
     if fitted is not None:
+        if fitted.source is not None:
+            usual = options.of_preset(options.preset, options.human_preset, options.env)
+            why = "has no meaning beside human fitted:FILE, which has hands"
+            require_default(
+                options.agent, usual.agent, ("human_actions",), why, mentions=("human",)
+            )
         agent = make_team(options.agent, options.human_policy, fitted.judge, fitted.source)
     else:
         judge = None if dangerous is None else recorded(dangerous)

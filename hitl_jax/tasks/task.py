@@ -9,8 +9,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from hitl_jax.choices.checks import require, require_that, require_whole
 from hitl_jax.choices.registry import Registry, is_imported
-from hitl_jax.errors import InvalidValue
+from hitl_jax.errors import InvalidValue, name_of
 from hitl_jax.results.episode_measures import UNKNOWN_ENDS, EndRule
 
 EVERY_END = EndRule(math.inf, goal=False)
@@ -24,8 +25,8 @@ class Task:
     Attributes:
         env_id: gymnasium's name; `module:Name-v0` where a module registers it.
         ends: which ends of an episode are falls.
-        changes: of the defaults of a sweep's options, by name, those of the human without `human.`:
-            indicator, danger, human_actions, and what is in their units. They hold with every
+        changes: new defaults of a sweep's options, by name, those of the human without `human.`:
+            indicator, danger, human_actions, and what is in their units. They override every
             preset. Without `observation_size` and `action_size` the environment is asked for these.
         episodes: training episodes of a run of the preset `full`; None: as many as there.
         solved: the return from which gymnasium, or you, call the task solved; None where none is
@@ -39,6 +40,25 @@ class Task:
     episodes: int | None = None
     solved: float | None = None
     steps_per_second: float = 50.0
+
+    def __post_init__(self) -> None:
+        """Checks every field; InvalidValue names it, its value and what is allowed."""
+        if not isinstance(self.env_id, str) or not self.env_id:
+            raise InvalidValue("env_id", repr(self.env_id), "must name an environment of gymnasium")
+        if not isinstance(self.ends, EndRule):
+            raise InvalidValue("ends", name_of(self.ends), "must be an EndRule")
+        if not isinstance(self.changes, Mapping):
+            raise InvalidValue("changes", name_of(self.changes), "must be a mapping of options")
+        if self.episodes is not None:
+            require_whole("episodes", self.episodes, at_least=1)
+        if self.solved is not None:
+            require("solved", self.solved)
+        require_that(
+            "steps_per_second",
+            self.steps_per_second,
+            lambda number: number > 0,
+            "a finite number above 0",
+        )
 
 
 TASKS: Registry[Task] = Registry(
@@ -71,6 +91,7 @@ def facts(env: str) -> dict[str, Any]:
     falls = task.ends.fall_reward
     return {
         "env": env,
+        "env_id": task.env_id,
         "falls": "none known" if falls is None else "all ends" if math.isinf(falls) else falls,
         "goal": task.ends.goal,
         "solved": task.solved,

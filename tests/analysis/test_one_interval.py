@@ -13,7 +13,7 @@ from hitl_jax.results.folder import ResultsFolder
 from hitl_jax.studies.ablations import table
 
 _RESULTS = pathlib.Path(__file__).parents[2] / "results"
-_FOLDERS = ("ten_seeds", "ten_seeds_ddpg")
+_FOLDERS = ("ten_seeds", "paper")
 
 
 def _rows(text):

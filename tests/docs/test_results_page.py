@@ -11,7 +11,7 @@ _KEPT = (
     "steady_noise",
     "fading",
     "ten_seeds",
-    "ten_seeds_ddpg",
+    "paper",
     "one_hour",
     "one_hour_xeon",
     "one_hour_newest",

@@ -85,11 +85,17 @@ def test_a_fitted_human_judges_as_the_person_did(fit, episodes):
 
 
 def test_too_little_is_refused(episodes):
-    with pytest.raises(ResultsError, match="590 judged steps of 2 episodes: must be at least 200"):
+    with pytest.raises(ResultsError, match="590 judged steps of 2 episodes that are longer than"):
         fitting.fit(episodes[:2])
     nobody = [one._replace(judged=np.zeros(300, bool)) for one in episodes]
-    with pytest.raises(ResultsError, match=r"^0 judged steps of 20 episodes"):
+    with pytest.raises(ResultsError, match=r"^0 judged steps of 0 episodes"):
         fitting.fit(nobody)
+    # Who judged in a few episodes alone, and at their beginnings alone.
+    few = [one._replace(judged=one.judged & (place % 5 > 1)) for place, one in enumerate(episodes)]
+    assert fitting.fit(few).agrees > 0.8
+    early = [one._replace(judged=np.arange(300) < 30) for one in episodes]
+    with pytest.raises(ResultsError, match=r"^0 judged steps of 0 episodes"):
+        fitting.fit(early)
     quiet = [one._replace(human_action=np.zeros(300, bool)) for one in episodes[:5]]
     assert hands_of(fitting.fit(quiet).arrays) is None
 
@@ -107,6 +113,23 @@ def test_a_dataset_comes_back_as_it_was(episodes, tmp_path):
     assert found.total_episodes == 3 and found.spec.env_spec.id == "BipedalWalker-v3"
     with pytest.raises(ResultsError, match="is there already"):
         minari_files.write(tmp_path, _ID, source)
+
+
+@pytest.mark.parametrize("name", ["judged", "boundary", "actions", "observations"])
+def test_a_dataset_of_strangers_is_looked_at(episodes, tmp_path, name):
+    pytest.importorskip("minari")
+    source = Source("BipedalWalker-v3", "made up", iter(episodes[:1]))
+    minari_files.write(tmp_path, _ID, source)
+    [file] = tmp_path.rglob("*.hdf5")
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(file, "r+") as data:
+        folder = data["episode_0"]
+        where = folder["infos"] if name in minari_files.INFOS else folder
+        held = where[name][:]
+        del where[name]
+        where[name] = held[:-1] if name in minari_files.INFOS else np.full_like(held, np.nan)
+    with pytest.raises(ResultsError, match="is no dataset to learn from"):
+        minari_files.read(tmp_path, _ID)
 
 
 @pytest.mark.parametrize("damage", ["delay", "network", "actor", "more", "nan", "least"])

@@ -10,13 +10,16 @@ import pytest
 import small
 
 from hitl_jax.commands.seed_sweep import main
+from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.console.cli import run_main
 from hitl_jax.errors import InvalidValue
+from hitl_jax.results.episode_measures import fall_at_once
 from hitl_jax.results.run_key import RunKey
 from hitl_jax.sweep import run_sweep
 from hitl_jax.sweep.logs import LOGS, SweepLogs
 from hitl_jax.sweep.logs.run_log import require_log
 from hitl_jax.sweep.options import SweepOptions
+from hitl_jax.training.run_spec import Divergence, Run, RunSpec
 
 _SMALL = [
     *("--seeds", "1", "--methods", "hitl-ac", "--episodes", "3", "--test-episodes", "2"),
@@ -159,16 +162,48 @@ def test_a_log_of_ones_own_has_what_the_tables_have(logged):
     _require_equal(series, logged)
 
 
+def _run(method, episodes, diverged=None):
+    spec = RunSpec(Method(method), 1, hyper_for(Method(method), Hyper()), episodes=5)
+    rows = [{"episode": n + 1, "env_steps": 10 * (n + 1)} | fall_at_once() for n in range(episodes)]
+    return Run(spec, 0, episodes=rows, env_steps=10 * episodes, diverged=diverged)
+
+
 def test_a_log_that_fails_is_given_up_and_no_other(tmp_path):
-    said, kept = [], {}
-    Kept.written = kept
+    said = []
+    Kept.written = {}
     logs = SweepLogs(["test_logs:Broken", "test_logs:Kept"], tmp_path, {}, said.append)
-    logs._write(RunKey("srl", 1), {"1_human/steps": 2.0}, 10)
-    logs._write(RunKey("srl", 1), {"1_human/steps": 3.0}, 20)
+    logs.follow([_run("srl", 1)])
+    logs.follow([_run("srl", 2)])
     logs.close()
     assert said == ["log test_logs:Broken: OSError: the disk is full; no more is logged there"]
-    rows = [row for row in kept[RunKey("srl", 1)] if row != "closed"]
-    assert rows == [(10, {"1_human/steps": 2.0}), (20, {"1_human/steps": 3.0})]
+    assert _steps("srl") == [10, 20]
+
+
+def _steps(method):
+    return [row[0] for row in Kept.written[RunKey(method, 1)] if row != "closed"]
+
+
+def test_a_run_that_another_machine_begins_anew_is_logged_anew(tmp_path):
+    Kept.written = {}
+    logs = SweepLogs(["test_logs:Kept"], tmp_path, {}, pytest.fail)
+    for count in (2, 3, 0, 1, 4):
+        logs.follow([_run("srl", count)])
+    rows = Kept.written[RunKey("srl", 1)]
+    assert _steps("srl") == [10, 20, 30, 10, 20, 30, 40]
+    assert rows[3] == "closed"
+
+
+def test_a_run_that_diverged_is_logged_with_its_tests(tmp_path):
+    Kept.written = {}
+    logs = SweepLogs(["test_logs:Kept"], tmp_path, {}, pytest.fail)
+    tests = [{"mode": "autonomous"} | fall_at_once()]
+    run = _run("hitl-ac", 2, Divergence("action", 20, 2))
+    logs.finish(run, tests, [{"trained": 4} | tests[0]])
+    written = [row for row in Kept.written[RunKey("hitl-ac", 1)] if row != "closed"]
+    assert written[-2:] == [
+        (22, {"2_return/autonomous_test": -100.0}),
+        (23, {"2_return/autonomous_test_at_the_end": -100.0}),
+    ]
 
 
 def test_no_log_is_opened_where_none_is_asked_for(tmp_path):
@@ -181,6 +216,12 @@ def test_no_log_is_opened_where_none_is_asked_for(tmp_path):
 def test_what_cannot_be_logged_is_said_before_any_work(monkeypatch):
     with pytest.raises(InvalidValue, match=r"^log tensorbord: must be one of tensorboard, wandb"):
         SweepOptions(log=("tensorbord",)).checked()
+    for names, said in (
+        (("none_such:log",), "log none_such:log: none_such cannot be imported"),
+        (("tensorboard", "tensorboard"), "log tensorboard tensorboard: each at most once"),
+    ):
+        with pytest.raises(InvalidValue, match=f"^{said}"):
+            SweepOptions(log=names).checked()
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ImportError, match=r'^log wandb: pip install -e "\.\[log\]"$'):
         SweepOptions(log=("wandb",)).checked()

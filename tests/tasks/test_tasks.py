@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import small
 
+from hitl_jax.choices.registry import require_trusted
 from hitl_jax.commands import alarms, human, replay, verify
 from hitl_jax.commands.seed_sweep import main
 from hitl_jax.console.cli import run_main
 from hitl_jax.envs import Command, default_backend, make_pool
+from hitl_jax.errors import InvalidValue, ResultsError
 from hitl_jax.results.episode_measures import how_it_ended
 from hitl_jax.sweep import run_sweep
 from hitl_jax.sweep.options import SweepOptions
@@ -121,3 +123,25 @@ def test_a_task_that_changes_no_option_is_one_line(monkeypatch, capsys):
 def test_a_human_is_made_of_tasks_alone(capsys):
     assert run_main("human", human.main, ["--env", "Pendulum-v1"]) == 2
     assert "error: --env Pendulum-v1: must be one of BipedalWalker-v3" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("env", ["a-b:Foo-v0", "é:Foo-v0", "1x:Foo-v0", "os:path", "a.b-c:Foo-v0"])
+def test_an_environment_that_a_folder_names_with_a_module_is_code(env):
+    with pytest.raises(ResultsError, match="names code that would be run: env"):
+        require_trusted("config.json", {"env": env})
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"env_id": 3}, "env_id 3: must name an environment"),
+        ({"ends": None}, "ends NoneType: must be an EndRule"),
+        ({"changes": None}, "changes NoneType: must be a mapping"),
+        ({"episodes": 0}, "episodes 0: must be at least 1"),
+        ({"solved": "x"}, "solved x: must be"),
+        ({"steps_per_second": 0}, "steps_per_second 0: must be a finite number above 0"),
+    ],
+)
+def test_a_task_says_what_is_wrong_with_it(changes, said):
+    with pytest.raises(InvalidValue, match=f"^{said}"):
+        Task(**{"env_id": "Pendulum-v1"} | changes)

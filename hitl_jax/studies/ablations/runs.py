@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from hitl_jax.analysis.claims_over_steps import area_of
 from hitl_jax.analysis.summary import summarise_run
+from hitl_jax.analysis.task_facts import STEPS_PER_SECOND
 from hitl_jax.config import Hyper, Method, hyper_for
 from hitl_jax.envs import default_backend, require_backend
 from hitl_jax.evaluation.trials import milestones
@@ -92,12 +93,17 @@ def make_runs(
         ResultsError: if the disk refuses.
     """
     missing = {run.key: run for group in groups for run in group.missing}
+    rates = {
+        run.key: task_of(group.ablation.env).steps_per_second
+        for group in groups
+        for run in group.missing
+    }
     batches = [batch_of(group) for group in groups]
     launcher = launch.make(store.path.parent, SAVE_SECONDS, store.keys, display.say)
     with display, contextlib.closing(launcher.make(batches, display.show)) as made:
         for tested in made:
             run = missing[tested.key]
-            row = summary_of(tested)
+            row = summary_of(tested, rates[tested.key])
             store.add(run, row | {"commit": short_commit(tested.commit)})
             display.finish(tested.finished.run)
             display.say(
@@ -139,12 +145,18 @@ def runs_of(ablation: Ablation, setting: Setting, parts: Parts) -> list[RunId]:
     return [RunId(setting.name, m, seed, mark) for m in setting.methods for seed in seeds]
 
 
-def summary_of(tested: Tested) -> Row:
-    """What the store keeps of a run."""
+def summary_of(tested: Tested, steps_per_second: float = STEPS_PER_SECOND) -> Row:
+    """What the store keeps of a run.
+
+    Args:
+        tested: the run.
+        steps_per_second: of the task's time.
+    """
     run = tested.finished.run
     episodes = to_table(to_columns(run.all_episodes(), EPISODE_COLUMNS), EPISODE_COLUMNS)
     tests = to_table(to_columns(tested.tests, TEST_COLUMNS), TEST_COLUMNS)
-    info = {"wall_seconds": tested.wall_seconds, "diverged": run.diverged}
+    task = {"task": {"steps_per_second": steps_per_second}}
+    info = {"wall_seconds": tested.wall_seconds, "diverged": run.diverged, "config": task}
     progress = to_table(to_columns(tested.progress, PROGRESS_COLUMNS), PROGRESS_COLUMNS)
     trained = Run(run.spec.key, info, episodes, tests, progress)
     row = summarise_run(trained) | late_training(trained, run.spec.hyper.unattended_every)

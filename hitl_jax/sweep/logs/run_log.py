@@ -52,5 +52,6 @@ def require_log(name: str) -> None:
         ImportError: one line that says what to install.
     """
     LOGS.check(name)
+    LOGS.value_of(name)
     if name in _NEEDS and importlib.util.find_spec(_NEEDS[name]) is None:
         raise ImportError(f'log {name}: pip install -e ".[log]"')

@@ -38,18 +38,26 @@ class SweepLogs:
         """
         self._names, self._folder, self._config, self._say = list(names), folder, config, say
         self._open: dict[tuple[RunKey, str], RunLog] = {}
-        self._written: dict[RunKey, tuple[int, int]] = {}
+        self._written: dict[tuple[RunKey, str], tuple[int, int]] = {}
 
     def follow(self, runs: Iterable[Run]) -> None:
         """Writes what is new of runs: their episodes, and the diagnostics of their learners."""
         for run in runs if self._names else ():
-            key = run.spec.key
-            episodes, diagnostics = self._written.get(key, (0, 0))
-            for row in run.episodes[episodes:]:
-                self._write(key, of_episode(row), row["env_steps"])
-            for sample in run.diagnostics[diagnostics:]:
-                self._write(key, of_diagnostics(sample), sample["env_steps"])
-            self._written[key] = len(run.episodes), len(run.diagnostics)
+            for name in list(self._names):
+                self._do(name, functools.partial(self._follow, run, name))
+
+    def _follow(self, run: Run, name: str) -> None:
+        key = run.spec.key
+        episodes, diagnostics = self._written.get((key, name), (0, 0))
+        if len(run.episodes) < episodes:  # Another machine begins it anew.
+            self._open.pop((key, name)).close()
+            episodes = diagnostics = 0
+        log = self._log_of(key, name)
+        for row in run.episodes[episodes:]:
+            _write(log, of_episode(row), row["env_steps"])
+        for sample in run.diagnostics[diagnostics:]:
+            _write(log, of_diagnostics(sample), sample["env_steps"])
+        self._written[key, name] = len(run.episodes), len(run.diagnostics)
 
     def finish(self, run: Run, tests: Sequence[Row], progress: Sequence[Row]) -> None:
         """Writes the tests of a run that has ended, and closes its logs.
@@ -60,30 +68,22 @@ class SweepLogs:
             progress: rows of its tests before.
         """
         self.follow([run])
-        key = run.spec.key
-        for name, rows in (("test", progress), ("test_at_the_end", tests)):
-            for (mode, trained), returns in _returns(rows, len(run.episodes)).items():
-                values = {f"2_return/{mode}_{name}": math.fsum(returns) / len(returns)}
-                steps = run.episodes[trained - 1]["env_steps"] if trained else 0
-                self._write(key, values, steps)
         for name in list(self._names):
-            if log := self._open.pop((key, name), None):
-                self._do(name, log.close)
+            self._do(name, functools.partial(self._finish, run, tests, progress, name))
+
+    def _finish(self, run: Run, tests: Sequence[Row], progress: Sequence[Row], name: str) -> None:
+        log, episodes = self._log_of(run.spec.key, name), run.all_episodes()
+        for what, rows in (("test", progress), ("test_at_the_end", tests)):
+            for (mode, trained), returns in _returns(rows, len(episodes)).items():
+                values = {f"2_return/{mode}_{what}": math.fsum(returns) / len(returns)}
+                _write(log, values, episodes[trained - 1]["env_steps"] if trained else 0)
+        self._open.pop((run.spec.key, name)).close()
 
     def close(self) -> None:
         """Closes the logs of runs that have not ended."""
         for (_, name), log in self._open.items():
             self._do(name, log.close)
         self._open.clear()
-
-    def _write(self, key: RunKey, values: Mapping[str, float], step: int) -> None:
-        known = {name: float(value) for name, value in values.items() if math.isfinite(value)}
-
-        def write(name: str) -> None:
-            self._log_of(key, name).write(known, int(step))
-
-        for name in list(self._names):
-            self._do(name, functools.partial(write, name))
 
     def _log_of(self, key: RunKey, name: str) -> RunLog:
         if (key, name) not in self._open:
@@ -101,6 +101,11 @@ class SweepLogs:
             if name in self._names:
                 self._names.remove(name)
             self._say(f"log {name}: {said_by(error)}; no more is logged there")
+
+
+def _write(log: RunLog, values: Mapping[str, float], step: int) -> None:
+    known = {name: float(value) for name, value in values.items() if math.isfinite(value)}
+    log.write(known, int(step))
 
 
 def _returns(rows: Sequence[Row], last: int) -> dict[tuple[str, int], list[float]]:
