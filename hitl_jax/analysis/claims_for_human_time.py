@@ -22,7 +22,7 @@ def human_seconds(run: Run, points: np.ndarray) -> np.ndarray:
         points: training episodes before each test, [P].
     """
     steps: np.ndarray = np.cumsum(run.episodes["human_steps"])[points - 1]
-    return steps / steps_per_second_of(run.info["config"])
+    return steps / steps_per_second_of(run.info.get("config", {}))
 
 
 def return_for_human_time(results: ComparedRuns) -> Claim | None:

@@ -14,7 +14,7 @@ from hitl_jax.choices.checks import require_whole
 from hitl_jax.choices.fields import choice, described
 from hitl_jax.console.cli import BadInput, checking_input
 from hitl_jax.console.output import say
-from hitl_jax.envs import WALKER, default_backend, require_backend
+from hitl_jax.envs import WALKER, host_backend, require_backend
 from hitl_jax.human import experience, shipped_network
 from hitl_jax.human.trained_walker import FILE, PREFIX
 from hitl_jax.results.atomic_files import write_bytes_atomic
@@ -67,7 +67,7 @@ def main(options: HumanOptions) -> int:
         require_whole("test_episodes", options.test_episodes, at_least=1)
         TASKS.check(options.env)
         task = task_of(options.env)
-        require_backend(default_backend(task.env_id), task.env_id)
+        require_backend(host_backend(task.env_id), task.env_id)
         base = study.base_of(options.env)
         try:
             out.mkdir(parents=True, exist_ok=True)

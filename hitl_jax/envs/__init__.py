@@ -35,6 +35,7 @@ __all__ = [
     "WalkerError",
     "WalkerPool",
     "default_backend",
+    "host_backend",
     "make_pool",
     "num_cores",
     "require_backend",
@@ -42,10 +43,14 @@ __all__ = [
 
 
 def default_backend(env_id: str = WALKER) -> str:
-    """Of `OUR_WALKERS` `lean`, or `jax` where Box2D cannot be imported; else `gymnasium`."""
-    if env_id not in OUR_WALKERS:
-        return "gymnasium"
-    return "lean" if box2d.missing() is None else "jax"
+    """As `host_backend`, but `jax` where that is `lean` and Box2D cannot be imported."""
+    backend = host_backend(env_id)
+    return "jax" if backend == "lean" and box2d.missing() is not None else backend
+
+
+def host_backend(env_id: str = WALKER) -> str:
+    """`lean` of `OUR_WALKERS`, else `gymnasium`."""
+    return "lean" if env_id in OUR_WALKERS else "gymnasium"
 
 
 def require_backend(backend: str, env_id: str = WALKER) -> None:

@@ -20,7 +20,7 @@ import optax
 
 from hitl_jax.analysis.early_warnings import steps_to_fall
 from hitl_jax.config import AgentConfig, Hyper, Method, hyper_for
-from hitl_jax.envs import default_backend, make_pool
+from hitl_jax.envs import host_backend, make_pool
 from hitl_jax.evaluation.host import HostExaminer, play_trial
 from hitl_jax.evaluation.trials import Trial
 from hitl_jax.human.actions import ActionSource, still
@@ -187,7 +187,7 @@ def _trained(
 
 
 def _backend(env: str) -> str:
-    return default_backend(task_of(env).env_id)
+    return host_backend(task_of(env).env_id)
 
 
 def gain_experience(

@@ -54,6 +54,8 @@ def changes_of_task(env: str) -> Changes:
     Raises:
         InvalidValue: one line, if the task cannot be had, or its environment not be played.
     """
+    if not env:
+        raise InvalidValue("env", repr(env), "must name an environment")
     task = task_of(env)
     told = dict(task.changes)
     if task.env_id in OUR_WALKERS or told.keys() >= {"observation_size", "action_size"}:

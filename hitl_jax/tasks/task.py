@@ -76,8 +76,6 @@ def task_of(env: str) -> Task:
     Raises:
         InvalidValue: one line with the option, the value and what is allowed.
     """
-    if not isinstance(env, str) or not env:
-        raise InvalidValue("env", repr(env), "must name an environment")
     return TASKS.make(env) if env in TASKS or is_imported(env) else Task(env)
 
 

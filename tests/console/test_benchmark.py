@@ -28,8 +28,8 @@ from hitl_jax.xla.devices import learning_devices
     [
         (
             ["--only", "speed"],
-            "--only speed: must be some of learner, pool, loop, scaling, saves, walkers, live, "
-            "launchers, peers",
+            "--only speed: must be some of learner, pool, loop, scaling, saves, logs, walkers, "
+            "live, launchers, peers",
         ),
         (["--only", "learner,speed"], "--only learner,speed: must be some of"),
         (["--only"], "--only"),

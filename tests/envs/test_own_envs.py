@@ -165,7 +165,7 @@ def test_other_spaces_are_refused(name):
         ("not_there:Mine-v0", "No module named 'not_there'"),
         ("own_envs:NoMujoco-v0", "No module named 'a_simulator_that_is_not_there'"),
         ("Mine v0", "[Mm]alformed environment ID"),
-        ("", "[Mm]alformed environment ID"),
+        ("", "must name an environment"),
         (None, "must be a string"),
     ],
 )

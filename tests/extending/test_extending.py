@@ -156,7 +156,7 @@ def test_objects_from_python_do_the_same(by_name):
         ("danger", "my_team:of_another_kind", "must give a danger model, gives int 3"),
         ("boundary_source", "my_team:steep", "must give a boundary source, gives HumanPart"),
         ("intervention", "my_team:drifting", "must give an intervention, gives BoundarySource"),
-        ("human_actions", "my_team:np", "must be one of still, scripted, trained, or module:name"),
+        ("human_actions", "my_team:np", "must be one of still, scripted, trained, "),
         ("indicator", "my_team:two_numbers", "must give one number"),
     ],
 )
@@ -203,13 +203,13 @@ def test_the_command_says_so(words, given, said, tmp_path, capsys):
         ({"observation_size": 2}, "indicator hull_angle: is made for observations of 24 numbers"),
         (
             {"observation_size": 3, "indicator": "my_team:tilt"},
-            "danger experienced: is made for observations of 24 numbers, and the walkers' have 3:",
+            "danger threshold: is made for observations of 24 numbers, and the walkers' have 3:",
         ),
         (
             {"observation_size": 3, "indicator": "my_team:tilt", "danger": "my_team:steep"},
-            "human_actions trained: is made for observations of 24 numbers",
+            "human_actions scripted: is made for observations of 24 numbers",
         ),
-        ({"action_size": 2}, "human_actions trained: is made for actions of 4 numbers"),
+        ({"action_size": 2}, "human_actions scripted: is made for actions of 4 numbers"),
     ],
 )
 def test_what_was_made_for_the_walker_refuses_another_environment(changes, said):

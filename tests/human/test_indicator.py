@@ -13,7 +13,7 @@ OBSERVATION = jnp.zeros(24).at[0].set(-0.3).at[1].set(0.08)
 def test_the_named_indicators_in_physical_units():
     # Angle −0.3 rad; the observation holds 2 ω / 50 = 0.08, so ω = 2 rad/s; −0.3 + 0.1 · 2 = −0.1.
     expected = {"hull_angle": -0.3, "hull_angular_velocity": 2.0, "weighted": -0.1}
-    assert set(expected) | {"fall_risk"} == set(indicator.INDICATORS)
+    assert {*expected, "fall_risk", "lander_tilt"} == set(indicator.INDICATORS)
     for name, value in expected.items():
         chosen = indicator.INDICATORS.make(name)
         np.testing.assert_allclose(chosen(OBSERVATION), value, rtol=1e-6)

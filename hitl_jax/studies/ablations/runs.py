@@ -8,7 +8,7 @@ from hitl_jax.analysis.claims_over_steps import area_of
 from hitl_jax.analysis.summary import summarise_run
 from hitl_jax.analysis.task_facts import STEPS_PER_SECOND
 from hitl_jax.config import Hyper, Method, hyper_for
-from hitl_jax.envs import default_backend, require_backend
+from hitl_jax.envs import host_backend, require_backend
 from hitl_jax.evaluation.trials import milestones
 from hitl_jax.results.episode_tables import (
     EPISODE_COLUMNS,
@@ -73,7 +73,7 @@ def missing_runs(ablations: Iterable[Ablation], store: Store) -> list[Group]:
     for group in groups.values():
         if group.missing:
             played = task_of(group.ablation.env).env_id
-            require_backend(default_backend(played), played)
+            require_backend(host_backend(played), played)
     return sorted(groups.values(), key=lambda group: len(group.missing), reverse=True)
 
 
@@ -127,7 +127,7 @@ def batch_of(group: Group) -> Batch:
         for run, parts in sorted(group.missing.items(), key=lambda item: item[0].seed)
     ]
     agent = make_team(group.parts.agent, group.parts.human_policy)
-    backend = default_backend(task_of(env).env_id)
+    backend = host_backend(task_of(env).env_id)
     walkers = Walkers(backend, _SLOTS, None, budget.test_episodes, env)
     return Batch(group.name, agent, specs, group.parts.loop, walkers)
 
