@@ -57,6 +57,15 @@ def _episode(seed, steps=300, delay=10):
     )
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _quick():
+    """Fewer delays are tried, and shorter."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fitting, "_DELAYS", (0, 10, 30))
+        patch.setattr(fitting, "_LOOKS", 6)
+        yield
+
+
 @pytest.fixture(scope="module")
 def episodes():
     return [_episode(seed) for seed in range(20)]

@@ -7,7 +7,7 @@ import pytest
 import small
 
 from hitl_jax.choices.registry import require_trusted
-from hitl_jax.commands import alarms, human, replay, verify
+from hitl_jax.commands import human, replay, verify
 from hitl_jax.commands.seed_sweep import main
 from hitl_jax.console.cli import run_main
 from hitl_jax.envs import Command, default_backend, make_pool
@@ -78,7 +78,6 @@ def test_a_task_of_ones_own_is_swept_and_its_episodes_come_again(swung, capsys, 
     words = ["--phase", "autonomous", "--out", str(film), "--width", "100"]
     assert run_main("replay", replay.main, [str(swung), *words]) == 0
     assert film.stat().st_size > 0
-    assert run_main("alarms", alarms.main, [str(swung)]) == 0
     assert run_main("sweep", main, [*_SMALL, *_OWN, "--out", str(swung)]) == 0
 
 
