@@ -93,6 +93,7 @@ def test_a_fitted_human_judges_as_the_person_did(fit, episodes):
     assert action.shape == (4,)
 
 
+@pytest.mark.slow
 def test_too_little_is_refused(episodes):
     with pytest.raises(ResultsError, match="590 judged steps of 2 episodes that are longer than"):
         fitting.fit(episodes[:2])

@@ -66,6 +66,7 @@ def swung(tmp_path_factory):
 _OWN = ("--env", "pendulum_task:pendulum", "--methods", "hitl-ac")
 
 
+@pytest.mark.slow
 def test_a_task_of_ones_own_is_swept_and_its_episodes_come_again(swung, capsys, monkeypatch):
     config = json.loads((swung / "config.json").read_text())["config"]
     assert config["task"]["env"] == "pendulum_task:pendulum"
@@ -81,6 +82,7 @@ def test_a_task_of_ones_own_is_swept_and_its_episodes_come_again(swung, capsys, 
     assert run_main("sweep", main, [*_SMALL, *_OWN, "--out", str(swung)]) == 0
 
 
+@pytest.mark.slow
 def test_another_task_is_refused_in_its_folder(swung, capsys):
     words = [*_SMALL, "--env", "LunarLanderContinuous-v3", "--out", str(swung)]
     assert run_main("sweep", main, words) == 2
