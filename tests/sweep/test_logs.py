@@ -78,7 +78,10 @@ def _is_here(name):
 
 def _tables(out):
     run = out / "runs" / "hitl-ac" / "seed-0000"
-    return [pandas.read_csv(run / f"{name}.csv") for name in ("episodes", "diagnostics", "test")]
+    return [
+        pandas.read_csv(run / f"{name}.csv", float_precision="round_trip")
+        for name in ("episodes", "diagnostics", "test")
+    ]
 
 
 def _require_equal(series, out, exact=True):
