@@ -8,7 +8,6 @@ from collections.abc import Mapping
 
 import chex
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from hitl_jax.human.actions import ActionSource, policy
@@ -46,20 +45,8 @@ def judge_of(arrays: Arrays) -> HumanPart:
         del params, dangerous, key
         return jax.nn.sigmoid(logit(network, observation)) >= least
 
-    late = delayed(delay)
-
-    def judge(
-        state: chex.Array,
-        params: HumanParams,
-        observation: chex.Array,
-        dangerous: chex.Array,
-        key: chex.PRNGKey,
-    ) -> tuple[chex.Array, chex.Array]:
-        own = params.replace(delay=jnp.int32(delay))  # type: ignore[attr-defined]
-        return late.judge(state, own, observation, dangerous, key)
-
     size = layers["Dense_0"]["kernel"].shape[0]
-    return chain(memoryless(rule, size), late._replace(judge=judge))
+    return chain(memoryless(rule, size), delayed(delay, own=delay))
 
 
 def hands_of(arrays: Arrays) -> ActionSource | None:

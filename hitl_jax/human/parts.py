@@ -26,11 +26,12 @@ HUMAN_PARTS: Registry[HumanPart] = Registry(
 
 
 @HUMAN_PARTS.register(DELAY, "judges what was seen `delay` steps ago")
-def delayed(max_delay: int = MAX_DELAY) -> HumanPart:
+def delayed(max_delay: int = MAX_DELAY, own: int | None = None) -> HumanPart:
     """Passes on the judgement of `params.delay` steps ago; safe in an episode's first steps.
 
     Args:
         max_delay: static length of the memory [steps]; greater delays are cut down to it.
+        own: the delay of a human who has one of their own [steps], whatever `params` says.
 
     Raises:
         ValueError: if `max_delay` is negative.
@@ -47,7 +48,8 @@ def delayed(max_delay: int = MAX_DELAY) -> HumanPart:
     ) -> tuple[chex.Array, chex.Array]:
         del observation, key
         history = jnp.concatenate([jnp.reshape(dangerous, (1,)), state[:-1]])
-        return history, history[jnp.clip(params.delay, 0, max_delay)]
+        delay = params.delay if own is None else own
+        return history, history[jnp.clip(delay, 0, max_delay)]
 
     return HumanPart(
         init=lambda: jnp.zeros((max_delay + 1,), bool),

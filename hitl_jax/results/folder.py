@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from hitl_jax.errors import ResultsError
-from hitl_jax.results import model_card, recorded_episodes
+from hitl_jax.results import recorded_episodes
 from hitl_jax.results.atomic_files import (
     LOCK,
     TEMPORARY,
@@ -59,8 +59,8 @@ from hitl_jax.results.npz_archives import from_npz
 from hitl_jax.results.provenance import git_commit, versions
 from hitl_jax.results.recorded_episodes import Recording
 from hitl_jax.results.run_files import (
-    RUN_FILES,
     Run,
+    copied_contents,
     read_diagnostics,
     read_file,
     read_info,
@@ -201,16 +201,11 @@ class ResultsFolder:
             ResultsError: if it is damaged there, exists here already, or cannot be written.
         """
         self._require_exists()
-        final, origin = self.run_path(key), source.run_path(key)
+        final = self.run_path(key)
         if final.exists():
             raise ResultsError(f"{final}: this run is finished already")
         source.check_run(key)
-        names = [name for name in ("run.json", *RUN_FILES) if os.path.lexists(origin / name)]
-        contents = {name: read_bytes(origin / name, follow=False) for name in names}
-        run = source.load_run(key)
-        card = model_card.model_card(key, run.info, run.episodes, run.tests)
-        contents[model_card.FILE] = card.encode()
-        write_folder_atomic(final, contents)
+        write_folder_atomic(final, copied_contents(source.run_path(key), source.load_run(key)))
 
     def check_run(self, key: RunKey) -> None:
         """Checks all files of a run.

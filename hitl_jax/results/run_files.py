@@ -5,6 +5,7 @@ whole runs with the functions here. Nothing here imports JAX.
 """
 
 import dataclasses
+import os
 import pathlib
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -128,6 +129,22 @@ def run_contents(
         "run.json": to_json(document).encode(),
         model_card.FILE: card.encode(),
     }
+
+
+def copied_contents(path: pathlib.Path, run: Run) -> dict[str, bytes]:
+    """The files of a run that is copied, bytes by name; its card is written anew.
+
+    Args:
+        path: the run's folder.
+        run: what is in it, checked.
+
+    Raises:
+        ResultsError: if a file cannot be read, or is a link.
+    """
+    names = [name for name in ("run.json", *RUN_FILES) if os.path.lexists(path / name)]
+    card = model_card.model_card(run.key, run.info, run.episodes, run.tests)
+    contents = {name: read_bytes(path / name, follow=False) for name in names}
+    return contents | {model_card.FILE: card.encode()}
 
 
 def read_info(path: pathlib.Path, key: RunKey) -> dict[str, Any]:

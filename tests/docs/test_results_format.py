@@ -15,8 +15,8 @@ from hitl_jax.results.episode_tables import (
     PROGRESS_COLUMNS,
     TEST_COLUMNS,
 )
-from hitl_jax.results.folder import RUN_FILES
 from hitl_jax.results.recorded_episodes import STEP_COLUMNS
+from hitl_jax.results.run_files import RUN_FILES
 from hitl_jax.team import checkpoint
 
 PAGE = "docs/results-format.md"
