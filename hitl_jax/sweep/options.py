@@ -219,8 +219,8 @@ class SweepOptions:
             why = "leaves srl nothing to learn from: name other methods"
             raise InvalidValue("reward_weight", 0, why, mentions=("methods",))
         if self.human != recorded_human.SIMULATED:
-            kind = fitted_human.PREFIX if self.human.startswith(fitted_human.PREFIX) else None
-            kind = kind or recorded_human.PREFIX
+            is_fitted = self.human.startswith(fitted_human.PREFIX)
+            kind = fitted_human.PREFIX if is_fitted else recorded_human.PREFIX
             why = f"has no meaning beside human {kind}FILE, {_JUDGES[kind]}"
             if self.human_preset != AS_PRESET:
                 raise InvalidValue("human_preset", self.human_preset, why, mentions=("human",))

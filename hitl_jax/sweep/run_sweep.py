@@ -95,18 +95,15 @@ def prepared(options: SweepOptions, command: str, say: Callable[[str], None]) ->
     """
     options, note = with_backend(options.checked())
     fitted = fitted_human.load(options.human)
-    dangerous = None if fitted else recorded_human.load(options.human)
+    dangerous = recorded_human.load(options.human) if fitted is None else None
+    judge, source = None if dangerous is None else recorded(dangerous), None
     if fitted is not None:
-        if fitted.source is not None:
-            usual = options.of_preset(options.preset, options.human_preset, options.env)
-            why = "has no meaning beside human fitted:FILE, which has hands"
-            require_default(
-                options.agent, usual.agent, ("human_actions",), why, mentions=("human",)
-            )
-        agent = make_team(options.agent, options.human_policy, fitted.judge, fitted.source)
-    else:
-        judge = None if dangerous is None else recorded(dangerous)
-        agent = make_team(options.agent, options.human_policy, judge)
+        judge, source = fitted.judge, fitted.source
+    if source is not None:
+        usual = options.of_preset(options.preset, options.human_preset, options.env)
+        why = "has no meaning beside human fitted:FILE, which has hands"
+        require_default(options.agent, usual.agent, ("human_actions",), why, mentions=("human",))
+    agent = make_team(options.agent, options.human_policy, judge, source)
     validate(agent, options.hyper)
     options = dataclasses.replace(options, hyper=agent.with_extra(options.hyper))
     folder = ResultsFolder(options.out)
