@@ -12,6 +12,7 @@ _KEPT = (
     "fading",
     "ten_seeds",
     "paper",
+    "lunar_lander",
     "one_hour",
     "one_hour_xeon",
     "one_hour_newest",
