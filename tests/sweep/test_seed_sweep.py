@@ -77,7 +77,7 @@ def swept(tmp_path_factory):
         calls = itertools.count()
 
         def prepare(figures):
-            if (call := next(calls)) < 60 or call % 100 == 0:
+            if (call := next(calls)) < 20 or call % 100 == 0:
                 figures._prepare()
 
         patch.setattr(BackgroundFigures, "draw_if_due", prepare)

@@ -132,6 +132,7 @@ def test_bootstraps_through_time_limits_and_not_through_ends(learner, n_step, en
     np.testing.assert_allclose(first, np.full_like(first, 1 + last / 2), atol=0.08)
 
 
+@pytest.mark.slow
 def test_bfloat16_changes_what_actor_and_critics_learn_and_not_how_the_actor_acts():
     exact, rounded = (_probe_agent("td3", precision=precision) for precision in MATMUL_PRECISIONS)
     rng, hyper = np.random.default_rng(0), _probe_hyper()

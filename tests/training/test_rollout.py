@@ -47,6 +47,7 @@ def _assert_same(one, other):
     assert one.boundary == other.boundary
 
 
+@pytest.mark.slow
 def test_snapshots_that_fall_due_in_one_chunk_are_all_kept():
     spec = dataclasses.replace(_spec(Method.HITL_AC, 1), snapshots=(1, 2, 3, 4))
     loop = LoopConfig(capacity=512, chunk=128, updates_per_step=0.0)

@@ -162,6 +162,7 @@ def test_runs_and_their_tests_are_the_same():
     assert repr(tests) == repr(wide_tests)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("learner", LEARNERS)
 def test_an_update_of_a_callers_own_arrays_is_the_same(learner):
     agent = agents.make_agent(paper_config(learner=learner, hidden_sizes=(32, 32)))

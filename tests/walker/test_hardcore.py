@@ -159,6 +159,7 @@ def test_lidar_sees_obstacles(official):
     np.testing.assert_allclose(step.observation[:, 14:], expected, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_hull_that_touches_an_obstacle_has_fallen(official):
     """Walkers fall upside down; some are too high to touch the obstacle in the next step."""
     corners = _stump(official)

@@ -109,6 +109,7 @@ def test_a_step_from_a_copied_state_is_box2ds(official):
     assert (error.max(1) > 1e-2).mean() <= 0.05
 
 
+@pytest.mark.slow
 def test_forty_steps_with_equal_actions_stay_near_box2ds(official):
     episodes = [played(official, seed, 60)[20:] for seed in range(3)]
     assert all(len(episode) == 40 for episode in episodes)
