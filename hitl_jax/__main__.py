@@ -18,6 +18,7 @@ _COMMANDS = {
     "merge": ("merge", "makes one folder of the shards of a sweep"),
     "live": ("live", "opens a page on which you are the human"),
     "recorded": ("recorded", "makes a human for sweeps of a live session"),
+    "participants": ("participants", "makes one table of the live sessions of several people"),
     "export": ("export", "writes episodes as a Minari dataset"),
     "import": ("import_human", "fits a human for sweeps to a Minari dataset"),
     "ablation": ("ablation", "takes one part of the team apart"),

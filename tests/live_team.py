@@ -78,6 +78,7 @@ class Served:
         mode="train",
         port=0,
         silence_seconds=60.0,  # The machine may be slow.
+        guide=None,
     ):
         self.session, self.path = session, path
         self._noted = journal.Journal(path)
@@ -86,8 +87,10 @@ class Served:
         self._socket = socket.create_server(("127.0.0.1", port))
         self.port = self._socket.getsockname()[1]
         self.address = f"http://127.0.0.1:{self.port}/?token={TOKEN}"
-        options = PageOptions(mode, "HITL-AC, seed 0", asks, answer_seconds, silence_seconds)
-        page = PageServer(PacedSession(session, self._noted, options), TOKEN)
+        title = "HITL-AC, seed 0"
+        options = PageOptions(mode, title, asks, answer_seconds, silence_seconds, guide)
+        said = journal.kinds(journal.read(path)[1])
+        page = PageServer(PacedSession(session, self._noted, options, said), TOKEN, path)
         self._server = page.server()
         serve = functools.partial(page.serve, self._server, self._socket)
         self._thread = threading.Thread(target=lambda: asyncio.run(serve()))

@@ -10,9 +10,10 @@ import socket
 from hitl_jax.console.cli import checking_input, refusing
 from hitl_jax.console.output import say
 from hitl_jax.envs import box2d
+from hitl_jax.errors import ResultsError
+from hitl_jax.live import journal
 from hitl_jax.live.address import HOST, has_display, listen, opened
 from hitl_jax.live.begin import go_on, lines_of, setup_of
-from hitl_jax.live.journal import Journal
 from hitl_jax.live.options import LiveOptions
 from hitl_jax.live.pacing import PacedSession
 from hitl_jax.live.page_updates import PageOptions
@@ -47,30 +48,41 @@ def main(options: LiveOptions) -> int:
             listening = held.enter_context(contextlib.closing(listen(options.port)))
             path = pathlib.Path(options.journal)
             with refusing(results="--journal"):
-                noted = held.enter_context(contextlib.closing(Journal(path)))
+                noted = held.enter_context(contextlib.closing(journal.Journal(path)))
                 lines = [] if noted.is_new else lines_of(path, header, say)
+                said = journal.kinds(lines)
+                if options.guided and "questionnaire" in said:
+                    raise ResultsError(f"{path}: its session has ended: name another journal")
         keep_programs()
         say("compiling ...")
         session = Session(setup)
         if noted.is_new:
             noted.begin(header | {"made": origin()})
         go_on(session, lines, path, say)
-        code = _serve(options, session, noted, listening)
+        paced = PacedSession(session, noted, _shown(options), said)
+        code = _serve(options, paced, listening)
         kept = path.with_name(f"{path.name}.npz")
         write_bytes_atomic(kept, to_npz(checkpoint.flatten(*session.networks())))
         print(f"Played {session.frame.number:,} frames; what was learned: {kept}")
         return code
 
 
-def _serve(options: LiveOptions, session: Session, noted: Journal, listening: socket.socket) -> int:
+def _shown(options: LiveOptions) -> PageOptions:
+    return PageOptions(
+        mode=options.mode,
+        title=f"{options.method.upper()}, seed {options.seed}",
+        asks=options.ask or options.mode == "test",
+        answer_seconds=options.answer_seconds,
+        guide=options.guide,
+    )
+
+
+def _serve(options: LiveOptions, session: PacedSession, listening: socket.socket) -> int:
     """Serves the page until a signal; the exit code."""
     from hitl_jax.live.server import PageServer
 
     port, token = listening.getsockname()[1], secrets.token_urlsafe(16)
-    title = f"{options.method.upper()}, seed {options.seed}"
-    asks = options.ask or options.mode == "test"
-    shown = PageOptions(options.mode, title, asks, options.answer_seconds)
-    page = PageServer(PacedSession(session, noted, shown), token)
+    page = PageServer(session, token, pathlib.Path(options.journal))
     address = f"http://{HOST}:{port}/?token={token}"
     print(f"The page: {address}\nThe journal: {options.journal}")
     say("Ctrl-C ends; the same command goes on.")

@@ -113,15 +113,26 @@ def lines_of(
     before, lines = journal.read(path)
     if line := differences(path, before):
         say(line)
-    told = {name: value for name, value in before.items() if name not in ("journal", "made")}
-    asked, has, nothing = _flat(compared(header)), _flat(compared(told)), object()
-    for name in asked | has:
-        if asked.get(name, nothing) != has.get(name, nothing):
-            raise ResultsError(
-                f"{path}: its session has {name[:50]} {str(has.get(name))[:50]}, asked for "
-                f"{asked.get(name)}: name another journal"
-            )
+    if differs := first_difference(before, header):
+        name, has, asked = differs
+        raise ResultsError(
+            f"{path}: its session has {name} {has}, asked for {asked}: name another journal"
+        )
     return lines
+
+
+def first_difference(one: journal.Line, other: journal.Line) -> tuple[str, str, str] | None:
+    """Where the sessions of two headers differ: the option, and both values; None if nowhere."""
+
+    def told(header: journal.Line) -> dict[str, Any]:
+        kept = {name: value for name, value in header.items() if name not in ("journal", "made")}
+        return _flat(compared(kept))
+
+    first, second, nothing = told(one), told(other), object()
+    for name in second | first:
+        if first.get(name, nothing) != second.get(name, nothing):
+            return name[:50], str(first.get(name))[:50], str(second.get(name))[:50]
+    return None
 
 
 def differences(path: pathlib.Path, header: dict[str, Any]) -> str:

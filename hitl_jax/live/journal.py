@@ -232,6 +232,11 @@ def read(path: pathlib.Path) -> tuple[Line, list[Line]]:
     return read[0], read[1:]
 
 
+def kinds(lines: list[Line]) -> set[str]:
+    """Types of the messages that these lines have."""
+    return {line["said"]["type"] for line in lines if "said" in line}
+
+
 def _line(text: bytes, before: bytes | None) -> tuple[Line, bytes | None]:
     """Reads a line; gives it without its checksum, and the checksum.
 

@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from hitl_jax.live.guide import require_answers
 from hitl_jax.live.session import Session
 
 SPEEDS = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
@@ -25,9 +26,15 @@ _FIELDS: dict[str, dict[str, type]] = {
     "step": {},
     "speed": {"factor": float},
     "seen": {"frame": int},
+    "consent": {},
+    "questionnaire": {"answers": list},
 }
-_JOURNAL_FIELDS: dict[str, dict[str, type]] = {"gone": {"frame": int}, "no_answer": {"frame": int}}
-"""Of messages that the program writes into a journal itself; a page may not send them."""
+_JOURNAL_FIELDS: dict[str, dict[str, type]] = {
+    "gone": {"frame": int},
+    "no_answer": {"frame": int},
+    "consent": {"text": str},
+}
+"""Of messages that the program writes into a journal itself, or with more than a page sends."""
 
 JUDGING = ("danger", "safe", "take", "let_go", "hands", "assist", "undo", "gone")
 """Types that change the session; the others change how fast it is played. `gone` is written where
@@ -67,7 +74,10 @@ def require_known(said: Mapping[str, Any]) -> None:
 
 
 def _fields(said: Mapping[str, Any], wanted: Mapping[str, type]) -> dict[str, Any]:
-    return {name: _field(said["type"], name, wanted[name], said.get(name)) for name in wanted}
+    fields = {name: _field(said["type"], name, wanted[name], said.get(name)) for name in wanted}
+    if said["type"] == "questionnaire":
+        require_answers(fields["answers"])
+    return fields
 
 
 def _field(kind: str, name: str, wanted: type, value: Any) -> Any:

@@ -8,6 +8,7 @@ import tyro
 from hitl_jax.choices.checks import one_of, require, require_default
 from hitl_jax.config import AgentConfig, Hyper, Method, validate_hyper
 from hitl_jax.errors import InvalidValue
+from hitl_jax.live.guide import CONSENT, GuideOptions
 from hitl_jax.sweep.changes import Parts, changed
 from hitl_jax.sweep.options import (
     require_hands,
@@ -22,6 +23,7 @@ from hitl_jax.training.run_spec import LoopConfig
 
 MODES = ("train", "test", "watch")
 _HANDS = ("human_actions", "release")
+_GUIDED = ("consent", "guided_steps")
 _CONTROL = ("takeover_steps", "release_share")
 """What the simulated human does with the controls, and until when."""
 
@@ -45,6 +47,11 @@ class LiveOptions:
         answer_seconds: how long it waits for an answer [s]; then it goes on as if it were "safe".
         human_policy: a `params.npz` whose actor is the assistant (default: gymnasium's scripted
             walker), and the simulated human's hands (default: as `human_actions` says).
+        guided: whether the page leads a person who has never seen it: through what to do, a line
+            to agree to, and six questions at the end (NASA-TLX). `hitl-jax participants` makes one
+            table of such sessions.
+        guided_steps: how long a guided session is [steps]; 3000 are a minute of real time.
+        consent: what a person agrees to before a guided session begins.
         port: of the page, on this machine; 0 takes any.
         open_page: whether to open the page in a browser.
         journal: where everything is noted. The same command goes on where it was; what was learned
@@ -61,6 +68,9 @@ class LiveOptions:
     ask: bool = False
     answer_seconds: float = 5.0
     human_policy: str | None = None
+    guided: bool = False
+    guided_steps: int = 15_000
+    consent: str = CONSENT
     port: int = 8765
     open_page: bool = True
     journal: str = "runs/live/session.jsonl"
@@ -79,6 +89,7 @@ class LiveOptions:
         require("seed", self.seed, at_least=0, at_most=2**32 - 1)
         require("answer_seconds", self.answer_seconds, at_least=0.1)
         require("port", self.port, at_least=0, at_most=65535)
+        self._require_guide()
         validate_hyper(self.hyper)
         require_meaning(self.agent, self.hyper)
         require_team(self.agent, self.loop)
@@ -102,6 +113,23 @@ class LiveOptions:
                     "ask", True, "there is nobody to ask with mode watch", mentions=("mode",)
                 )
         return self
+
+    def _require_guide(self) -> None:
+        require("guided_steps", self.guided_steps, at_least=1)
+        if not self.guided:
+            require_default(self, LiveOptions(), _GUIDED, "needs guided", mentions=("guided",))
+            return
+        if not self.with_person:
+            raise InvalidValue(
+                "guided", True, "there is nobody to guide with mode watch", mentions=("mode",)
+            )
+        if not self.consent.strip():
+            raise InvalidValue("consent", repr(self.consent), "must say what one agrees to")
+
+    @property
+    def guide(self) -> GuideOptions | None:
+        """How a person is guided; None where nobody is."""
+        return GuideOptions(self.consent, self.guided_steps) if self.guided else None
 
     def _require_nothing_simulated(self) -> None:
         """Refuses options of the simulated human, whom nobody would ask."""

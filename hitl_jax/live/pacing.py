@@ -5,10 +5,11 @@ import contextlib
 import statistics
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from hitl_jax.errors import ResultsError, WalkerError
 from hitl_jax.live import page_updates
+from hitl_jax.live.guide import Guide, Stage
 from hitl_jax.live.journal import Journal
 from hitl_jax.live.messages import PersonMessage
 from hitl_jax.live.page_updates import PageOptions, PageUpdate
@@ -30,16 +31,24 @@ _clock = time.monotonic
 class PacedSession:
     """Plays a session at a pace, asks the person, and pauses when nobody is there."""
 
-    def __init__(self, session: Session, journal: Journal, options: PageOptions):
+    def __init__(
+        self,
+        session: Session,
+        journal: Journal,
+        options: PageOptions,
+        said: Iterable[str] = (),
+    ):
         """Takes a session; `run` plays it.
 
         Args:
             session: what is played.
             journal: where all of it is written.
             options: how it is shown.
+            said: types of the messages that the journal has already.
         """
         self._session, self._journal, self._options = session, journal, options
         self._listeners: list[Listener] = []
+        self._guide = Guide(options.guide, said)
         self._paused = False
         self._why_paused: str | None = None
         self._away = True
@@ -132,6 +141,9 @@ class PacedSession:
             self._silence.answer(message["frame"])
             self._hear(message["frame"])
             return
+        self._guide.hear(kind, self._session.env_steps)
+        if kind == "consent" and self._options.guide is not None:
+            message = {**message, "text": self._options.guide.consent}
         self._do(message)
         self._hear(message.get("frame"))
         if kind in ("pause", "speed"):
@@ -198,6 +210,8 @@ class PacedSession:
         while True:
             if self._failure is not None:
                 raise self._failure
+            if self._away and self._stage == "end":
+                return
             if self._waits():
                 due = await self._wait()
             else:
@@ -211,7 +225,12 @@ class PacedSession:
     def _waits(self) -> bool:
         """Whether no step is to be played now."""
         paused = self._paused and not self._steps_due
-        return self._away or paused or self._asked_frame is not None
+        stands = paused or self._asked_frame is not None or self._stage != "play"
+        return self._away or stands
+
+    @property
+    def _stage(self) -> Stage:
+        return self._guide.stage(self._session.env_steps)
 
     async def _wait(self) -> float:
         """Waits for a change, and counts down while the walker asks; when the next step is due."""
@@ -260,6 +279,9 @@ class PacedSession:
             if self._options.asks:
                 self._asked_frame = frame.number
                 self._answer_seconds_left = self._options.answer_seconds
+        if self._stage != "play":
+            self._release()
+            self._asked_frame = None
 
     # Updates for pages.
 
@@ -281,6 +303,7 @@ class PacedSession:
             "why_paused": self._why_paused,
             "speed": self._speed,
             "asking": asking,
+            "stage": self._stage,
             "watchers": max(len(self._listeners) - 1, 0),
             "reaction_ms": round(reactions[-1]) if reactions else None,
             "median_reaction_ms": round(statistics.median(reactions)) if reactions else None,

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 from hitl_jax.envs.visible_walker import FEET, LIDAR, shapes
 from hitl_jax.human.indicator import INDICATORS, unit_of
+from hitl_jax.live.guide import GuideOptions
 from hitl_jax.live.session import Session
 from hitl_jax.results.episode_measures import Row
 
@@ -23,6 +24,7 @@ class PageOptions(NamedTuple):
         answer_seconds: how long it waits for an answer; then it goes on, which counts as safe.
         silence_seconds: how long a person's page may leave frames unanswered; after that, nobody
             is there.
+        guide: whether and how a person is guided.
     """
 
     mode: str
@@ -30,6 +32,7 @@ class PageOptions(NamedTuple):
     asks: bool
     answer_seconds: float
     silence_seconds: float = 1.0
+    guide: GuideOptions | None = None
 
 
 def hello(session: Session, options: PageOptions) -> PageUpdate:
@@ -44,6 +47,8 @@ def hello(session: Session, options: PageOptions) -> PageUpdate:
         "span": 1.0,
         "intervention": config.intervention,
         "answer_seconds": options.answer_seconds,
+        "asks": options.asks,
+        "guide": options.guide and options.guide._asdict(),
         "no_answer": "Without an answer it counts as safe, and the walker goes on.",
         **shapes(),
     }

@@ -17,7 +17,7 @@ from hitl_jax.live import journal
 from hitl_jax.live.begin import setup_of
 from hitl_jax.live.labels import judged, unjudged
 from hitl_jax.live.options import LiveOptions
-from hitl_jax.live.session import Session
+from hitl_jax.live.session import Frame, Session
 from hitl_jax.live.setup import SessionSetup
 from hitl_jax.results.config_diff import completed
 from hitl_jax.results.json_documents import options_of
@@ -40,7 +40,7 @@ class _Begun:
 
 
 class Steps(NamedTuple):
-    """The steps of a session that a person judged.
+    """The steps of a session that a human judged.
 
     Attributes:
         observation: s_t, [T, O].
@@ -48,6 +48,7 @@ class Steps(NamedTuple):
             bool [T].
         alarmed: C, bool [T].
         dangerous: h_t = 0 as it stands at the end, bool [T].
+        human_action: whether the human's action was executed, bool [T].
         episodes: how many there were.
         unjudged: how many steps nobody judged.
     """
@@ -56,6 +57,7 @@ class Steps(NamedTuple):
     begins: np.ndarray
     alarmed: np.ndarray
     dangerous: np.ndarray
+    human_action: np.ndarray
     episodes: int
     unjudged: int
 
@@ -75,6 +77,13 @@ def setup_again(
         ResultsError: one line, if it is no journal of a session in which a person judged.
         ValueError: one line, if the files are others.
     """
+    return setup_of(options_again(path, header, start, human_policy))
+
+
+def options_again(
+    path: pathlib.Path, header: journal.Line, start: str | None, human_policy: str | None
+) -> LiveOptions:
+    """The options of a session in which a person judged, from its journal; see `setup_again`."""
     options = options_from(path, header, start, human_policy)
     asked = options.header()
     for name, given in (("start", start), ("human_policy", human_policy)):
@@ -82,13 +91,13 @@ def setup_again(
             raise InvalidValue(name, given, f"the session had {header.get(name)}")
     if not options.with_person:
         raise ResultsError(f"{path}: mode watch: no person judged in this session")
-    return setup_of(options)
+    return options
 
 
 def options_from(
     path: pathlib.Path, header: journal.Line, start: str | None, human_policy: str | None
 ) -> LiveOptions:
-    """The options of a session, from its journal; see `setup_again`."""
+    """The options of any session, from its journal; see `setup_again`."""
     try:
         told = {name: value for name, value in header.items() if name != "made"}
         begun = options_of(completed(told), _Begun)
@@ -118,30 +127,63 @@ def steps_of(session: Session, lines: list[journal.Line], path: pathlib.Path) ->
     Raises:
         ResultsError: if it does not come out as it was noted.
     """
-    seen, begins, alarmed, live = [], [], [], []
-
-    def note() -> None:
-        frame = session.frame
-        seen.append(frame.observation)
-        begins.append(frame.step == 0)
-        alarmed.append(frame.alarmed)
-        live.append(not frame.ended)
-
-    for _ in journal.play(session, lines, path, before_step=note):
+    noted = _Noted(session)
+    for _ in journal.play(session, lines, path, before_step=noted.before_step):
         pass
-    dangerous = judged(session.labels, 0, len(live))
-    nobodys = unjudged(session.labels, 0, len(live))
-    after = np.concatenate([[False], nobodys])[:-1]
-    live_steps = np.array(live, bool)
-    kept = live_steps & ~nobodys
-    return Steps(
-        observation=np.array(seen)[kept],
-        begins=(np.array(begins, bool) | after)[kept],
-        alarmed=np.array(alarmed, bool)[kept],
-        dangerous=dangerous[kept],
-        episodes=sum(begins),
-        unjudged=int((live_steps & nobodys).sum()),
-    )
+    count = session.frame.number
+    return noted.steps(judged(session.labels, 0, count), unjudged(session.labels, 0, count))
+
+
+def simulated_steps(session: Session, env_steps: int) -> Steps:
+    """Plays a session with a simulated human, and takes all its steps.
+
+    Args:
+        session: at its beginning.
+        env_steps: how many environment steps are played.
+    """
+    noted, dangerous = _Noted(session), []
+    while session.env_steps < env_steps:
+        noted.before_step()
+        session.tick()
+        dangerous.append(session.flag("dangerous", session.frame.number - 1))
+    return noted.steps(np.array(dangerous, bool), np.zeros(len(dangerous), bool))
+
+
+class _Noted:
+    """What a session shows of each frame, taken while it is still kept."""
+
+    def __init__(self, session: Session):
+        self._session = session
+        self._frames: list[Frame] = []
+        self._human_action: list[bool] = []
+
+    def before_step(self) -> None:
+        """Notes the frame that comes next."""
+        self._note_last()
+        self._frames.append(self._session.frame)
+
+    def _note_last(self) -> None:
+        if self._frames:
+            flag = self._session.flag("human_action", self._frames[-1].number)
+            self._human_action.append(flag)
+
+    def steps(self, dangerous: np.ndarray, nobodys: np.ndarray) -> Steps:
+        """The steps that were judged; whether so, and which nobody judged, is bool [frames]."""
+        self._note_last()
+        frames = self._frames
+        begins = np.array([frame.step == 0 for frame in frames], bool)
+        live = np.array([not frame.ended for frame in frames], bool)
+        after = np.concatenate([[False], nobodys])[:-1]
+        kept = live & ~nobodys
+        return Steps(
+            observation=np.array([frame.observation for frame in frames])[kept],
+            begins=(begins | after)[kept],
+            alarmed=np.array([frame.alarmed for frame in frames], bool)[kept],
+            dangerous=dangerous[kept],
+            human_action=np.array(self._human_action, bool)[kept],
+            episodes=int(begins.sum()),
+            unjudged=int((live & nobodys).sum()),
+        )
 
 
 def fits_of(steps: Steps) -> dict[str, FittedHuman]:

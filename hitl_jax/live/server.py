@@ -176,14 +176,15 @@ class _OpenPage:
 class PageServer:
     """Serves the page of one session."""
 
-    def __init__(self, session: PacedSession, token: str):
+    def __init__(self, session: PacedSession, token: str, journal: pathlib.Path):
         """Keeps what it serves.
 
         Args:
             session: what the page shows.
             token: that the address must carry.
+            journal: of the session; a guided person can take a copy away.
         """
-        self._session, self._token = session, token
+        self._session, self._token, self._journal = session, token, journal
         self._limits = ConnectionLimits()
         self._pages: list[_OpenPage] = []
         self._handover: asyncio.TimerHandle | None = None
@@ -221,6 +222,7 @@ class PageServer:
         return Starlette(
             routes=[
                 Route("/", self._serve_page),
+                Route("/journal", self._serve_journal),
                 *files,
                 Route("/favicon.ico", _no_content),
                 WebSocketRoute("/socket", self._serve_socket),
@@ -236,6 +238,11 @@ class PageServer:
             said = "This page needs the whole address that `hitl-jax live` printed, with its token."
             return PlainTextResponse(said, 403, headers=_HEADERS)
         return FileResponse(_PAGE / "index.html", headers=_HEADERS)
+
+    async def _serve_journal(self, request: Request) -> Response:
+        if not self._is_token(request.query_params.get("token")):
+            return PlainTextResponse("The journal needs the address's token.", 403, _HEADERS)
+        return FileResponse(self._journal, headers=_HEADERS, filename=self._journal.name)
 
     async def _serve_file(self, request: Request) -> Response:
         return FileResponse(_PAGE / request.url.path.lstrip("/"), headers=_HEADERS)

@@ -1,4 +1,4 @@
-"""Fixtures: a session that is served, and sessions in simulated time."""
+"""Fixtures: a session that is served, sessions in simulated time, and a browser."""
 
 import pytest
 from live_team import Served, setup_of
@@ -22,3 +22,21 @@ def live(tmp_path, monkeypatch):
         return simulate(happens, tmp_path / "journal.jsonl", monkeypatch, setup, asks, mode)
 
     return run
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium; tests are skipped where there is none."""
+    from browser_page import launched
+
+    with launched() as one:
+        yield one
+
+
+@pytest.fixture
+def page(browser):
+    """A window of it."""
+    from browser_page import window
+
+    with window(browser) as one:
+        yield one

@@ -184,7 +184,7 @@ def test_what_cannot_be_noted_is_not_played(tmp_path, monkeypatch):
     paced.add_listener(told.append)
     paced.connect_person()
     paced.handle({"type": "seen", "frame": 0})
-    page = PageServer(paced, TOKEN)
+    page = PageServer(paced, TOKEN, tmp_path / "journal.jsonl")
     with (
         socket.create_server(("127.0.0.1", 0)) as listening,
         pytest.raises(ResultsError, match="No space left on device"),

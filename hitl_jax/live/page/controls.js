@@ -97,6 +97,7 @@ export function createControls(actions) {
   const releaseAll = () => controls.forEach((control) => control.endAll());
 
   window.addEventListener("keydown", (event) => {
+    if (document.querySelector("dialog[open]")) return;
     // With the Meta key a Mac does not tell when others are released.
     if (event.key === "Meta") releaseAll();
     if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;

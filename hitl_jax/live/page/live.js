@@ -2,6 +2,7 @@
 
 import { createControls } from "./controls.js";
 import { Chart, Gauge, Scene } from "./drawing.js";
+import { Guide } from "./guide.js";
 
 const SPEEDS = [1 / 8, 1 / 4, 1 / 2, 1, 2, 4, 8, null];
 const SPEED_NAMES = ["1/8 ×", "1/4 ×", "1/2 ×", "1 ×", "2 ×", "4 ×", "8 ×", "max"];
@@ -112,6 +113,7 @@ const listeners = {
     write("mode", MODES[message.mode]);
     write("gauge-name", message.indicator.replaceAll("_", " "));
     write("request-default", message.no_answer);
+    guide.setUp(message);
     listeners.role(message);
   },
   role({ role }) {
@@ -148,6 +150,7 @@ const listeners = {
     showStatus(status);
     if (status.why_paused !== before.why_paused) showWhyPaused(status.why_paused);
     showRequest(status.asking, before.asking);
+    guide.follow(status.stage, state.role === "controller");
     allow();
   },
   error({ message }) {
@@ -179,7 +182,7 @@ function want(name, value) {
 function showStatus(status) {
   const milliseconds = (value) => `${Math.round(value)} ms`;
   root.dataset.paused = status.paused;
-  writeState("running", status.paused ? "paused" : status.asking ? "waiting" : "running");
+  writeState("running", status.paused ? "paused" : status.asking || status.stage !== "play" ? "waiting" : "running");
   write("pause-text", status.paused ? "Resume" : "Pause");
   write("speed", SPEED_NAMES[SPEEDS.indexOf(status.speed)] ?? `${status.speed} ×`);
   write("rate", status.rate.toFixed(1));
@@ -296,11 +299,28 @@ const controls = createControls({
   slower: { press: () => changeSpeed(-1) },
   faster: { press: () => changeSpeed(1) },
   mute: { press: toggleMute },
+  help: { press: showHelp },
   ...Object.fromEntries(jointActions),
 });
 
+let stoppedForHelp = false;
+const guide = new Guide(send, () => {
+  allow();
+  if (guide.open || !stoppedForHelp) return;
+  stoppedForHelp = false;
+  togglePause();
+});
+
+/** Shows what to do, while the clock stands. */
+function showHelp() {
+  stoppedForHelp = !state.status.paused && state.role === "controller";
+  if (stoppedForHelp) togglePause();
+  guide.showHelp();
+}
+
 /** Why the person cannot judge, or "" where that is possible. */
 function whyNoJudging() {
+  if (guide.open) return "Close the pages in front first.";
   if (!state.connected) return "There is no connection.";
   if (state.role !== "controller") return "This window only watches: another one has the controls.";
   return state.hello?.mode === "watch" ? "In this mode nobody judges." : "";
@@ -319,7 +339,7 @@ function allow() {
   const judging = whyNoJudging();
   const taking = whyNoTaking();
   const walking = taking || (state.taken ? "" : "Take over first (T).");
-  const clock = state.hello?.mode === "watch" && state.connected && state.role === "controller" ? "" : judging;
+  const clock = state.hello?.mode === "watch" && !guide.open && state.connected && state.role === "controller" ? "" : judging;
   const reasons = { danger: judging, safe: judging, undo: judging, take: taking, assist: walking };
   Object.assign(reasons, { pause: clock, slower: clock, faster: clock });
   reasons.step = clock || (state.status.paused ? "" : "Pause first (Space).");
@@ -400,7 +420,8 @@ function connect(attempt = 0) {
   socket.addEventListener("close", (event) => {
     setTaken(false);
     showRequest(null);
-    if (event.code === 1008 || event.code >= 4000) refused(event.reason);
+    if (guide.stage === "end") showConnection("closed", "closed");
+    else if (event.code === 1008 || event.code >= 4000) refused(event.reason);
     else reconnect(failures);
   });
 }
