@@ -11,6 +11,7 @@ _PAGES = (
     *("README.md", "SECURITY.md", "CHANGELOG.md", "results/README.md", "results/REPORT.md"),
     *("hitl_jax/human/trained_human.md", "hitl_jax/tasks/humans/README.md"),
 )
+_NOTEBOOK = pathlib.Path("docs/first_steps.ipynb")
 _LINK = re.compile(r"\]\(([^)#\s]+)")
 _REFERENCE = (
     *("hitl_jax.team.acting", "hitl_jax.team.agent", "hitl_jax.config", "hitl_jax.types"),
@@ -38,6 +39,7 @@ def on_config(config: Any) -> Any:
     """
     stage = _STAGE
     docs = [path.relative_to(_ROOT) for path in sorted((_ROOT / "docs").glob("*.md"))]
+    _copy(stage, _NOTEBOOK)
     for page in [*map(pathlib.Path, _PAGES), *docs]:
         _copy(stage, page)
         for link in _LINK.findall((_ROOT / page).read_text()):
@@ -48,6 +50,20 @@ def on_config(config: Any) -> Any:
     (stage / "reference.md").write_text("# Reference\n\n" + "\n".join(parts))
     config["docs_dir"] = str(stage)
     return config
+
+
+def on_post_page(output: str, page: Any, config: Any) -> str:
+    """Lets the notebook's links to pages hold, which mkdocs does not see.
+
+    Args:
+        output: the page as HTML.
+        page: its file and title.
+        config: of mkdocs.
+    """
+    del config
+    if not page.file.src_uri.endswith(".ipynb"):
+        return output
+    return re.sub(r'href="([\w-]+)\.md"', r'href="../\1/"', output)
 
 
 def on_shutdown() -> None:
