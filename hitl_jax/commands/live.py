@@ -10,10 +10,10 @@ import socket
 from hitl_jax.console.cli import checking_input, refusing
 from hitl_jax.console.output import say
 from hitl_jax.envs import box2d
-from hitl_jax.errors import ResultsError
 from hitl_jax.live import journal
 from hitl_jax.live.address import HOST, has_display, listen, opened
 from hitl_jax.live.begin import go_on, lines_of, setup_of
+from hitl_jax.live.guide import require_same
 from hitl_jax.live.options import LiveOptions
 from hitl_jax.live.pacing import PacedSession
 from hitl_jax.live.page_updates import PageOptions
@@ -50,16 +50,14 @@ def main(options: LiveOptions) -> int:
             with refusing(results="--journal"):
                 noted = held.enter_context(contextlib.closing(journal.Journal(path)))
                 lines = [] if noted.is_new else lines_of(path, header, say)
-                said = journal.kinds(lines)
-                if options.guided and "questionnaire" in said:
-                    raise ResultsError(f"{path}: its session has ended: name another journal")
+                require_same(path, lines, options.guide)
         keep_programs()
         say("compiling ...")
         session = Session(setup)
         if noted.is_new:
             noted.begin(header | {"made": origin()})
         go_on(session, lines, path, say)
-        paced = PacedSession(session, noted, _shown(options), said)
+        paced = PacedSession(session, noted, _shown(options), journal.kinds(lines))
         code = _serve(options, paced, listening)
         kept = path.with_name(f"{path.name}.npz")
         write_bytes_atomic(kept, to_npz(checkpoint.flatten(*session.networks())))
@@ -71,7 +69,7 @@ def _shown(options: LiveOptions) -> PageOptions:
     return PageOptions(
         mode=options.mode,
         title=f"{options.method.upper()}, seed {options.seed}",
-        asks=options.ask or options.mode == "test",
+        asks=options.asks,
         answer_seconds=options.answer_seconds,
         guide=options.guide,
     )

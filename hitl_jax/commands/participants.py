@@ -50,7 +50,7 @@ def main(options: ParticipantsOptions) -> int:
     with checking_input(results="FOLDER"):
         if not folder.is_dir():
             raise InvalidValue("folder", str(folder), "must be a folder of journals")
-        study = participants.read(folder, options.start, options.human_policy)
+        study = participants.read(folder, options.start, options.human_policy, say)
     keep_programs()
     found = []
     for one in participants.all_of(study):

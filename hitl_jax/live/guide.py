@@ -1,7 +1,10 @@
 """A guided session: a person agrees to take part, plays for a while, and answers six questions."""
 
+import pathlib
 from collections.abc import Iterable, Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
+
+from hitl_jax.errors import ResultsError
 
 SCALES = (
     "mental_demand",
@@ -20,8 +23,9 @@ MOST, PACE = 100, 5
 Stage = Literal["consent", "play", "questions", "end"]
 
 CONSENT = (
-    "While you play, the keys that you use here and their times are written to a file on this "
-    "machine. You can stop whenever you like, by closing this page."
+    "While you play, the keys and buttons that you use here and their times are written to a file "
+    "on this machine, and so are your answers at the end. You can stop whenever you like, by "
+    "closing this page."
 )
 
 
@@ -31,10 +35,14 @@ class GuideOptions(NamedTuple):
     Attributes:
         consent: what a person agrees to before it begins.
         steps: how long it is [environment steps]; then the questions come.
+        asks: whether the walker stops and asks where an alarm begins.
+        answer_seconds: how long it waits for an answer [s].
     """
 
     consent: str
     steps: int
+    asks: bool = False
+    answer_seconds: float = 5.0
 
 
 class Guide:
@@ -75,7 +83,50 @@ class Guide:
                 "end": "the session has ended",
             }[stage]
             raise ValueError(f"{kind}: {now}")
+        if self._options is not None and kind in ("speed", "step"):
+            raise ValueError(f"{kind}: a guided session is played in real time")
         self._said.add(kind)
+
+
+def agreement(options: GuideOptions) -> dict[str, Any]:
+    """The message by which a person agrees to take part, as a journal keeps it."""
+    told = options._asdict()
+    return {"type": "consent", "text": told.pop("consent"), **told}
+
+
+def agreed(lines: Iterable[dict[str, Any]]) -> dict[str, Any] | None:
+    """What a person agreed to, from a journal's lines; None where nobody was asked."""
+    said = (line["said"] for line in lines if "said" in line)
+    return next((one for one in said if one["type"] == "consent"), None)
+
+
+def require_same(
+    path: pathlib.Path, lines: Sequence[dict[str, Any]], options: GuideOptions | None
+) -> None:
+    """Checks that a journal can be gone on with.
+
+    Args:
+        path: of the journal.
+        lines: of it.
+        options: how the session is guided from now on.
+
+    Raises:
+        ResultsError: one line, if it has ended, or was guided otherwise.
+    """
+    has = agreed(lines)
+    if any(line.get("said", {}).get("type") == "questionnaire" for line in lines):
+        raise ResultsError(f"{path}: its session has ended: name another journal")
+    if lines and (has is None) != (options is None):
+        guided = "is not guided" if has is None else "is guided"
+        raise ResultsError(f"{path}: its session {guided}, asked for otherwise: name another")
+    if has is not None and options is not None:
+        asked = agreement(options)
+        for name in asked:
+            if has.get(name) != asked[name]:
+                raise ResultsError(
+                    f"{path}: its person agreed to {name} {str(has.get(name))[:50]}, asked for "
+                    f"{str(asked[name])[:50]}: name another journal"
+                )
 
 
 def require_answers(answers: Sequence[float]) -> None:

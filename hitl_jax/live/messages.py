@@ -14,6 +14,11 @@ SPEEDS = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 PersonMessage = dict[str, Any]
 """`type`, and the fields of that type."""
 
+
+class _Speed:
+    """One of `SPEEDS`, or None."""
+
+
 _FIELDS: dict[str, dict[str, type]] = {
     "danger": {"down": bool, "frame": int},
     "safe": {"frame": int},
@@ -24,7 +29,7 @@ _FIELDS: dict[str, dict[str, type]] = {
     "undo": {},
     "pause": {"on": bool},
     "step": {},
-    "speed": {"factor": float},
+    "speed": {"factor": _Speed},
     "seen": {"frame": int},
     "consent": {},
     "questionnaire": {"answers": list},
@@ -32,7 +37,7 @@ _FIELDS: dict[str, dict[str, type]] = {
 _JOURNAL_FIELDS: dict[str, dict[str, type]] = {
     "gone": {"frame": int},
     "no_answer": {"frame": int},
-    "consent": {"text": str},
+    "consent": {"text": str, "steps": int, "asks": bool, "answer_seconds": float},
 }
 """Of messages that the program writes into a journal itself, or with more than a page sends."""
 
@@ -81,10 +86,12 @@ def _fields(said: Mapping[str, Any], wanted: Mapping[str, type]) -> dict[str, An
 
 
 def _field(kind: str, name: str, wanted: type, value: Any) -> Any:
-    if wanted is float:
+    if wanted is _Speed:
         if value is None or (value in SPEEDS and not isinstance(value, bool)):
             return value
         raise ValueError(f"{kind}: factor must be null or one of {', '.join(map(str, SPEEDS))}")
+    if wanted is float and _is_number(value):
+        return value
     if type(value) is not wanted:
         raise ValueError(f"{kind}: {name} must be of type {wanted.__name__}")
     if isinstance(value, list) and not all(_is_number(one) for one in value):

@@ -23,6 +23,7 @@ from hitl_jax.training.run_spec import LoopConfig
 
 MODES = ("train", "test", "watch")
 _HANDS = ("human_actions", "release")
+_LONGEST = 2000
 _GUIDED = ("consent", "guided_steps")
 _CONTROL = ("takeover_steps", "release_share")
 """What the simulated human does with the controls, and until when."""
@@ -123,13 +124,26 @@ class LiveOptions:
             raise InvalidValue(
                 "guided", True, "there is nobody to guide with mode watch", mentions=("mode",)
             )
-        if not self.consent.strip():
-            raise InvalidValue("consent", repr(self.consent), "must say what one agrees to")
+        if not self._agreed.isprintable() or not 0 < len(self._agreed) <= _LONGEST:
+            why = f"must be a text of 1 to {_LONGEST} characters that can be printed"
+            raise InvalidValue("consent", repr(self.consent)[:50], why)
 
     @property
     def guide(self) -> GuideOptions | None:
         """How a person is guided; None where nobody is."""
-        return GuideOptions(self.consent, self.guided_steps) if self.guided else None
+        if not self.guided:
+            return None
+        return GuideOptions(self._agreed, self.guided_steps, self.asks, self.answer_seconds)
+
+    @property
+    def asks(self) -> bool:
+        """Whether the walker stops and asks where an alarm begins."""
+        return self.ask or self.mode == "test"
+
+    @property
+    def _agreed(self) -> str:
+        """On one line, since no file that this program reads has control characters in a text."""
+        return " ".join(self.consent.split())
 
     def _require_nothing_simulated(self) -> None:
         """Refuses options of the simulated human, whom nobody would ask."""

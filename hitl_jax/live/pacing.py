@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 
 from hitl_jax.errors import ResultsError, WalkerError
 from hitl_jax.live import page_updates
-from hitl_jax.live.guide import Guide, Stage
+from hitl_jax.live.guide import Guide, Stage, agreement
 from hitl_jax.live.journal import Journal
 from hitl_jax.live.messages import PersonMessage
 from hitl_jax.live.page_updates import PageOptions, PageUpdate
@@ -20,6 +20,9 @@ RATE = 50.0
 """Steps a second of real time."""
 
 Listener = Callable[[PageUpdate], None]
+
+COME_BACK_SECONDS = 5.0
+"""How long a page that was lost can come back as it was [s]."""
 
 _SLICE = 0.015
 """How long a session at full speed plays before other tasks have their turn [s]."""
@@ -51,7 +54,7 @@ class PacedSession:
         self._guide = Guide(options.guide, said)
         self._paused = False
         self._why_paused: str | None = None
-        self._away = True
+        self._away, self._left_at = True, -COME_BACK_SECONDS
         self._silence = SilenceTimer(options.silence_seconds)
         self._steps_due = 0
         self._speed: float | None = 1.0
@@ -63,6 +66,11 @@ class PacedSession:
         self._reactions: list[float] = []
         self._alarm_since: float | None = None
         self._step_times: deque[float] = deque(maxlen=int(RATE))
+
+    @property
+    def is_guided(self) -> bool:
+        """Whether the page leads a person."""
+        return self._options.guide is not None
 
     # Pages that come and go.
 
@@ -92,7 +100,7 @@ class PacedSession:
     def disconnect_person(self) -> None:
         """The page of the person is closed: nothing is played until another one opens."""
         self._release()
-        self._away = True
+        self._away, self._left_at = True, _clock()
         self._send(self._status())
 
     def _hear(self, frame: int | None) -> None:
@@ -143,7 +151,7 @@ class PacedSession:
             return
         self._guide.hear(kind, self._session.env_steps)
         if kind == "consent" and self._options.guide is not None:
-            message = {**message, "text": self._options.guide.consent}
+            message = agreement(self._options.guide)
         self._do(message)
         self._hear(message.get("frame"))
         if kind in ("pause", "speed"):
@@ -210,7 +218,7 @@ class PacedSession:
         while True:
             if self._failure is not None:
                 raise self._failure
-            if self._away and self._stage == "end":
+            if self._stage == "end" and self._away and _clock() > self._left_at + COME_BACK_SECONDS:
                 return
             if self._waits():
                 due = await self._wait()

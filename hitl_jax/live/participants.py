@@ -6,7 +6,7 @@ of them.
 
 import dataclasses
 import pathlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from hitl_jax.errors import ResultsError
 from hitl_jax.evaluation.trials import frozen
 from hitl_jax.live import journal
 from hitl_jax.live.begin import first_difference, setup_of
-from hitl_jax.live.guide import SCALES
+from hitl_jax.live.guide import SCALES, agreed
 from hitl_jax.live.options import LiveOptions
 from hitl_jax.live.pacing import RATE
 from hitl_jax.live.recorded_person import (
@@ -85,25 +85,34 @@ class Study(NamedTuple):
     lines: list[list[journal.Line]]
 
 
-def read(folder: pathlib.Path, start: str | None, human_policy: str | None) -> Study:
+def read(
+    folder: pathlib.Path, start: str | None, human_policy: str | None, say: Callable[[str], None]
+) -> Study:
     """Reads all journals of a folder.
 
     Args:
         folder: has the journals, `*.jsonl`.
         start: the `params.npz` that the sessions began with, if they began with one.
         human_policy: the `params.npz` of the assistant, if there was one.
+        say: is told which were left out.
 
     Raises:
         ResultsError: one line, if there is none, one is damaged, or two did not begin alike.
         ValueError: one line, if the files are others.
     """
-    paths = sorted(folder.glob("*.jsonl"))
-    if not paths:
-        raise ResultsError(f"{folder}: has no journal of a live session (*.jsonl)")
-    read = [journal.read(path) for path in paths]
+    found = {}
+    for path in sorted(folder.glob("*.jsonl")):
+        begun = journal.read(path) if path.stat().st_size else ({}, [])
+        if begun[1]:
+            found[path] = begun
+        else:
+            say(f"{path}: nothing was played; it is left out")
+    if not found:
+        raise ResultsError(f"{folder}: has no journal of a session that was played (*.jsonl)")
+    paths, read = list(found), list(found.values())
     first, _ = read[0]
-    for path, (header, _) in zip(paths, read, strict=True):
-        if differs := first_difference(first, header):
+    for path, (header, lines) in zip(paths, read, strict=True):
+        if differs := first_difference(_begun(*read[0]), _begun(header, lines)):
             name, has, other = differs
             raise ResultsError(
                 f"{path}: its session has {name} {other}, that of {paths[0].name} {has}: "
@@ -114,15 +123,22 @@ def read(folder: pathlib.Path, start: str | None, human_policy: str | None) -> S
     )
 
 
+def _begun(header: journal.Line, lines: list[journal.Line]) -> journal.Line:
+    """How a session began, and was guided."""
+    guide = agreed(lines) or {}
+    told = {name: guide.get(name) for name in ("steps", "asks", "answer_seconds")}
+    return header | {"guide": told}
+
+
 def all_of(study: Study) -> Iterator[Participant]:
     """Plays all sessions again, and then those of the simulated humans.
 
     Raises:
         ResultsError: if a session does not come out as it was noted.
     """
-    longest = 0
+    longest, setup = 0, setup_of(study.options)
     for path, lines in zip(study.paths, study.lines, strict=True):
-        session = Session(setup_of(study.options))
+        session = Session(setup)
         steps = steps_of(session, lines, path)
         longest = max(longest, session.env_steps)
         said = [line["said"] for line in lines if "said" in line]

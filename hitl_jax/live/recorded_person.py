@@ -47,7 +47,7 @@ class Steps(NamedTuple):
         begins: whether an episode, or the rest of it after steps that nobody judged, begins here,
             bool [T].
         alarmed: C, bool [T].
-        dangerous: h_t = 0 as it stands at the end, bool [T].
+        dangerous: h_t = 0 as it stands at the end, bool [T]; so is human control.
         human_action: whether the human's action was executed, bool [T].
         episodes: how many there were.
         unjudged: how many steps nobody judged.
@@ -145,7 +145,8 @@ def simulated_steps(session: Session, env_steps: int) -> Steps:
     while session.env_steps < env_steps:
         noted.before_step()
         session.tick()
-        dangerous.append(session.flag("dangerous", session.frame.number - 1))
+        last = session.frame.number - 1
+        dangerous.append(session.flag("dangerous", last) or session.flag("control", last))
     return noted.steps(np.array(dangerous, bool), np.zeros(len(dangerous), bool))
 
 

@@ -21,7 +21,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from hitl_jax.live import messages
 from hitl_jax.live.connection_limits import ConnectionLimits, make_server
-from hitl_jax.live.pacing import PacedSession
+from hitl_jax.live.pacing import COME_BACK_SECONDS, PacedSession
 from hitl_jax.live.page_updates import PageUpdate
 
 MAX_MESSAGE_BYTES = 4096
@@ -48,9 +48,6 @@ _NO_TOKEN, _TOO_MANY, _TOO_SLOW, _NOT_ALLOWED = 4403, 4429, 4408, 4400
 
 _MAX_WAITING = 500
 """Updates that may wait for a page."""
-
-_RECONNECT_SECONDS = 5.0
-"""How long a page that was lost can come back to its control, before a watcher gets it [s]."""
 
 _HEADERS = {
     "Content-Security-Policy": "default-src 'self'; frame-ancestors 'none'; base-uri 'none'",
@@ -242,7 +239,12 @@ class PageServer:
     async def _serve_journal(self, request: Request) -> Response:
         if not self._is_token(request.query_params.get("token")):
             return PlainTextResponse("The journal needs the address's token.", 403, _HEADERS)
-        return FileResponse(self._journal, headers=_HEADERS, filename=self._journal.name)
+        if not self._session.is_guided:
+            return PlainTextResponse("Only a guided session gives its journal.", 404, _HEADERS)
+        # Read at once: a file that grows while it is sent would be longer than was announced.
+        name = {"Content-Disposition": 'attachment; filename="session.jsonl"'}
+        data = self._journal.read_bytes()
+        return Response(data, headers=_HEADERS | name, media_type="application/x-ndjson")
 
     async def _serve_file(self, request: Request) -> Response:
         return FileResponse(_PAGE / request.url.path.lstrip("/"), headers=_HEADERS)
@@ -278,7 +280,7 @@ class PageServer:
             if page.controls:
                 self._session.disconnect_person()
                 loop = asyncio.get_running_loop()
-                self._handover = loop.call_later(_RECONNECT_SECONDS, self._hand_over)
+                self._handover = loop.call_later(COME_BACK_SECONDS, self._hand_over)
 
     def _hand_over(self) -> None:
         """Gives control to the page that has watched longest, if none has it."""

@@ -1,6 +1,7 @@
 """A guided session: consent, a stretch of play, six questions; and a table of several people."""
 
 import csv
+import dataclasses
 import json
 
 import pytest
@@ -10,9 +11,10 @@ from live_team import Served, say, setup_of, until_update
 
 from hitl_jax.commands import live, participants
 from hitl_jax.console.cli import run_main
+from hitl_jax.errors import ResultsError
 from hitl_jax.live import journal, messages
 from hitl_jax.live.begin import setup_of as setup_from
-from hitl_jax.live.guide import SCALES, Guide, GuideOptions
+from hitl_jax.live.guide import SCALES, Guide, GuideOptions, agreement, require_same
 from hitl_jax.live.options import LiveOptions
 from hitl_jax.live.session import Session
 
@@ -59,12 +61,14 @@ def test_a_person_is_led_from_consent_to_the_end(tmp_path):
     session = Session(setup_of(learns=False))
     with Served(session, path, guide=guide) as served, served.open() as page:
         hello = until_update(page, "hello")
-        assert hello["guide"] == {"consent": "I agree to all.", "steps": 40}
+        assert hello["guide"]["consent"] == "I agree to all."
         say(page, "take", frame=0)
         assert "has not agreed" in until_update(page, "error")["message"]
         assert until_update(page, "status")["stage"] == "consent"
         assert session.frame.number == 0
         say(page, "consent")
+        say(page, "speed", factor=8.0)
+        assert "is played in real time" in until_update(page, "error")["message"]
         say(page, "danger", down=True, frame=0)
         until_update(page, "status", lambda status: status["stage"] == "questions")
         assert session.env_steps == 40
@@ -80,7 +84,9 @@ def test_a_person_is_led_from_consent_to_the_end(tmp_path):
         served._thread.join(20)
         assert not served._thread.is_alive()  # It ends by itself.
     said = [line["said"] for line in journal.read(path)[1] if "said" in line]
-    assert said[0] == {"type": "consent", "text": "I agree to all."}
+    assert said[0] == {"type": "consent", "text": "I agree to all."} | {
+        **{"steps": 40, "asks": False, "answer_seconds": 5.0}
+    }
     assert {"type": "questionnaire", "answers": _ANSWERS} in said
     again = Session(setup_of(learns=False))
     list(journal.play(again, journal.read(path)[1], path))
@@ -110,7 +116,7 @@ def _play(options, path, tolerance, answers=None):
     """A session of a person who calls all beyond an angle dangerous, at once."""
     session, noted = Session(setup_from(options)), journal.Journal(path)
     noted.begin(options.header())
-    noted.said(session, {"type": "consent", "text": options.consent})
+    noted.said(session, agreement(options.guide))
     while session.env_steps < options.guided_steps:
         frame = session.frame
         dangerous = abs(float(frame.observation[0])) > tolerance
@@ -147,19 +153,76 @@ def test_several_people_become_one_table_beside_simulated_humans(options, tmp_pa
 
 
 def test_sessions_that_began_otherwise_are_not_compared(options, tmp_path, capsys):
-    for name, seed in (("anna", 0), ("ben", 1)):
+    def begin(name, seed=0, asks=False):
         noted = journal.Journal(tmp_path / f"{name}.jsonl")
         noted.begin({**options.header(), "seed": seed})
+        said = agreement(options.guide._replace(asks=asks))
+        noted._add({"at": 0, "said": said, "time": 0.0})
         noted.close()
+
+    def refused():
+        assert run_main("participants", participants.main, [str(tmp_path)]) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        return said
+
+    begin("anna")
+    begin("ben", seed=1)
+    assert "ben.jsonl: its session has seed 1, that of anna.jsonl 0: sessions that" in refused()
+    (tmp_path / "ben.jsonl").unlink()
+    begin("ben", asks=True)
+    assert "its session has guide.asks True, that of anna.jsonl False" in refused()
+
+
+@pytest.mark.parametrize(
+    ("changes", "lines", "said"),
+    [
+        (None, "consent", "is guided, asked for otherwise"),
+        ({}, "danger", "is not guided, asked for otherwise"),
+        ({"steps": 9}, "consent", "its person agreed to steps 150, asked for 9"),
+        ({"consent": "Other."}, "consent", "its person agreed to text While you play"),
+        ({}, "questionnaire", "its session has ended"),
+        (None, "questionnaire", "its session has ended"),
+    ],
+)
+def test_a_session_goes_on_as_it_was_agreed(options, changes, lines, said, tmp_path):
+    consent = agreement(options.guide)
+    noted = {"consent": [consent], "danger": [{"type": "danger"}]}
+    noted["questionnaire"] = [consent, {"type": "questionnaire"}]
+    lines = [{"at": 0, "said": one} for one in noted[lines]]
+    guide = None if changes is None else options.guide._replace(**changes)
+    with pytest.raises(ResultsError, match=said):
+        require_same(tmp_path, lines, guide)
+    require_same(tmp_path, [], guide)
+    require_same(tmp_path, [{"at": 0, "said": consent}], options.guide)
+
+
+def test_what_nobody_played_is_left_out(options, tmp_path, capsys):
+    (tmp_path / "empty.jsonl").write_text("")
+    noted = journal.Journal(tmp_path / "begun.jsonl")
+    noted.begin(options.header())
+    noted.close()
     assert run_main("participants", participants.main, [str(tmp_path)]) == 2
-    said = capsys.readouterr().err
-    assert "ben.jsonl: its session has seed 1, that of anna.jsonl 0: sessions that" in said
-    assert said.count("\n") == 1
+    told = capsys.readouterr()
+    assert told.out.count("nothing was played; it is left out") == 2
+    assert "has no journal of a session that was played" in told.err
+
+
+def test_a_consent_of_several_lines_is_kept_as_one(options):
+    text = "I agree.\n\tI am\u00a018 or older."
+    assert dataclasses.replace(options, consent=text).checked().guide.consent == (
+        "I agree. I am 18 or older."
+    )
+
+
+def test_only_a_guided_session_gives_its_journal(served):
+    token = served.address.partition("token=")[2]
+    assert served.page(f"/journal?token={token}")[0] == 404
 
 
 @pytest.mark.parametrize(
     ("folder", "said"),
-    [("none", "must be a folder of journals"), (".", "has no journal of a live")],
+    [("none", "must be a folder of journals"), (".", "has no journal of a session")],
 )
 def test_a_folder_without_sessions_is_one_line(folder, said, tmp_path, capsys):
     assert run_main("participants", participants.main, [str(tmp_path / folder)]) == 2
@@ -174,7 +237,8 @@ def test_a_folder_without_sessions_is_one_line(folder, said, tmp_path, capsys):
         (["--guided", "--guided-steps", "0"], "--guided-steps 0: must be at least 1"),
         (["--guided-steps", "99"], "--guided-steps: needs --guided"),
         (["--consent", "Yes."], "--consent: needs --guided"),
-        (["--guided", "--consent", " "], "--consent ' ': must say what one agrees to"),
+        (["--guided", "--consent", " "], "--consent ' ': must be a text of 1 to 2000 characters"),
+        (["--guided", "--consent", "\x1b[2J"], "--consent '\\x1b[2J': must be a text of"),
     ],
 )
 def test_what_a_guided_session_cannot_be_is_one_line(words, said, capsys):

@@ -25,8 +25,9 @@ def test_the_page_leads_a_person_through_a_session(page, tmp_path):
         _guide_shows(page, "consent")
         expect(page.locator("#consent-text")).to_have_text("All keys are kept.")
         expect(page.locator("#guide-next")).to_be_disabled()
-        page.keyboard.press("Escape")  # Nobody gets past it.
-        page.keyboard.press("d")
+        for key in ("Escape", "Escape", "Escape", "h", "d"):  # Nobody gets past it.
+            page.keyboard.press(key)
+        _guide_shows(page, "consent")
         page.locator("#agree").focus()
         page.keyboard.press("Space")  # Of the box, and not of the clock.
         for card, key in (("walker", "x"), ("danger", "d"), ("safe", "s"), ("take", "t")):
@@ -34,24 +35,30 @@ def test_the_page_leads_a_person_through_a_session(page, tmp_path):
             _guide_shows(page, card)
             page.keyboard.press(key)
             expect(page.locator(".done:visible")).to_have_count(int(key != "x"))
+            expect(page.locator("#guide-alert")).to_be_hidden()
         page.locator("#guide-next").click()
         assert (session.frame.number, session.labels) == (0, [])
         page.locator("#guide-next").click()
         _guide_shows(page, "questions")
         expect(page.locator("#danger")).to_be_disabled()
+        for key in ("Escape", "Escape", "h", *["Tab"] * 7):
+            page.keyboard.press(key)
+        expect(page.locator("#missing")).to_have_text("Not answered yet: 6")
         sliders = page.locator("#questions input")
         for number in range(6):
             expect(page.locator("#guide-next")).to_be_disabled()
             sliders.nth(number).focus()
-            page.keyboard.press("ArrowRight" if number else "Home")
+            page.keyboard.press(("Home", "Enter", "ArrowRight")[min(number, 2)])
         page.locator("#guide-next").click()
         _guide_shows(page, "end")
         assert said_of(served, "questionnaire") == [
-            {"type": "questionnaire", "answers": [0, 55, 55, 55, 55, 55]}
+            {"type": "questionnaire", "answers": [0, 50, 55, 55, 55, 55]}
         ]
         with page.expect_download() as download:
             page.locator("#copy").click()
-        assert download.value.suggested_filename == "journal.jsonl"
+        assert download.value.suggested_filename == "session.jsonl"
+        page.reload()
+        _guide_shows(page, "end")
 
 
 def test_what_to_do_is_shown_again_while_the_clock_stands(page, tmp_path):

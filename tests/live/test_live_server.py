@@ -100,7 +100,7 @@ def test_one_controls_and_others_watch(served):
 
 
 def test_who_watches_has_the_controls_after_a_while(served, monkeypatch):
-    monkeypatch.setattr(server, "_RECONNECT_SECONDS", 0.1)
+    monkeypatch.setattr(server, "COME_BACK_SECONDS", 0.1)
     with served.open() as first, served.open() as second:
         assert until_update(second, "hello")["role"] == "watcher"
         first.close()

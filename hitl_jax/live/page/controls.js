@@ -5,7 +5,7 @@ const KEYS_OF_BUTTONS = ["Enter", " "];
 const TAP = 200;
 
 /** The name of a key as in `data-keys`: the letter on it, or its code where that is not Latin. */
-function keyName(event) {
+export function keyName(event) {
   if (event.key === " ") return "Space";
   if (event.key.length > 1) return event.key;
   const latin = event.key.charCodeAt(0) < 128;

@@ -1,5 +1,7 @@
 /** The dialog that leads a person: what to do, a line to agree to, and questions at the end. */
 
+import { keyName } from "./controls.js";
+
 /** NASA-TLX: Hart and Staveland, 1988. */
 const QUESTIONS = [
   ["Mental demand", "How mentally demanding was the task?", "Very low", "Very high"],
@@ -12,6 +14,9 @@ const QUESTIONS = [
 
 const element = (id) => document.getElementById(id);
 
+/** Keys that give a slider a value, or confirm the one that it shows. */
+const GIVING = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown", "Enter", " "];
+
 /** A slider that has no value until the person gives it one. */
 function makeQuestion([name, text, low, high]) {
   const row = element("question").content.cloneNode(true).firstElementChild;
@@ -19,11 +24,15 @@ function makeQuestion([name, text, low, high]) {
   const [title, asks, left, right] = row.querySelectorAll("[data-text]");
   [title.textContent, asks.textContent, left.textContent, right.textContent] = [name, text, low, high];
   slider.setAttribute("aria-label", `${name}. ${text} From ${low} to ${high}.`);
+  slider.setAttribute("aria-valuetext", "not answered");
   const given = () => {
     row.classList.add("given");
+    slider.setAttribute("aria-valuetext", slider.value);
     row.dispatchEvent(new Event("given", { bubbles: true }));
   };
-  ["input", "pointerdown", "keydown"].forEach((type) => slider.addEventListener(type, given));
+  slider.addEventListener("input", given);
+  slider.addEventListener("pointerdown", (event) => { if (event.button === 0) given(); });
+  slider.addEventListener("keydown", (event) => { if (GIVING.includes(event.key)) given(); });
   return row;
 }
 
@@ -33,39 +42,35 @@ export class Guide {
    * @param {function} changed - called when the dialog opens or closes.
    */
   constructor(send, changed) {
-    Object.assign(this, { send, changed, dialog: element("guide"), cards: [], place: 0, stage: "play" });
+    Object.assign(this, { send, changed, dialog: element("guide"), cards: [], place: 0, stage: "play", connected: false });
     this.questions = QUESTIONS.map(makeQuestion);
     element("questions").append(...this.questions);
     element("questions").addEventListener("given", () => this.showButtons());
     element("agree").addEventListener("change", () => this.showButtons());
     element("guide-back").addEventListener("click", () => this.turn(-1));
     element("guide-next").addEventListener("click", () => this.turn(1));
-    this.dialog.addEventListener("cancel", (event) => { if (!this.isHelp) event.preventDefault(); });
-    this.dialog.addEventListener("close", () => this.changed());
-    this.dialog.addEventListener("keydown", (event) => this.tryKey(event.key.toLowerCase()));
+    this.dialog.addEventListener("cancel", (event) => { if (this.stage !== "play") event.preventDefault(); });
+    this.dialog.addEventListener("close", () => this.closed());
+    this.dialog.addEventListener("keydown", (event) => this.tryKey(event));
     this.dialog.querySelectorAll("[data-try]").forEach((button) =>
-      button.addEventListener("click", () => this.tryKey(button.dataset.try)));
+      button.addEventListener("click", () => this.tried(button)));
   }
 
   get open() { return this.dialog.open; }
 
-  /** Whether it is open because the person asked for it, amid a session. */
-  get isHelp() { return this.stage === "play"; }
-
   /** Takes what stays the same: which cards there are, and what one agrees to. */
   setUp(hello) {
-    const { mode, guide } = hello;
-    this.steps = { consent: guide?.consent, minutes: guide && guide.steps / 3000 };
-    const left = { asks: !hello.asks, take: hello.intervention !== "takeover", "no-take": hello.intervention === "takeover" };
-    this.dialog.querySelectorAll("[data-if]").forEach((part) => { part.hidden = left[part.dataset.if]; });
-    this.help = ["walker", "danger", "safe", "take", "ready"].filter((name) => name !== "take" || !left.take);
+    const { mode, guide, indicator, intervention } = hello;
+    const told = {
+      asks: hello.asks, learns: mode !== "test", learned: mode === "test", angle: indicator === "hull_angle",
+      other: indicator !== "hull_angle", takeover: intervention === "takeover", reset: intervention === "reset",
+      penalty: intervention === "penalty", guided: Boolean(guide),
+    };
+    this.dialog.querySelectorAll("[data-if]").forEach((part) => { part.hidden = !told[part.dataset.if]; });
+    this.help = ["walker", "danger", "safe", "take", "ready"].filter((name) => name !== "take" || told.takeover);
     element("consent-text").textContent = guide?.consent ?? "";
-    const minutes = this.steps.minutes;
-    const shown = minutes < 1 ? "a minute" : `${Math.round(10 * minutes) / 10} minutes`;
-    element("guide-length").textContent = guide
-      ? `The session takes about ${shown} and ends by itself. Then come six questions.` : "";
-    element("learns").textContent = mode === "test"
-      ? "This walker has learned already. It asks you for help." : "This walker learns while you watch, from what you say too.";
+    const minutes = Math.round((guide?.steps ?? 0) / 300) / 10;
+    element("guide-length").textContent = minutes <= 1 ? "a minute" : `${minutes} minutes`;
     element("copy").href = `/journal${location.search}`;
   }
 
@@ -74,18 +79,27 @@ export class Guide {
     const before = this.stage;
     this.stage = controls ? stage : "play";
     if (this.stage === before) return;
-    const cards = { consent: ["consent", ...this.help], questions: ["questions"], end: ["end"] }[this.stage];
-    if (cards) this.show(cards);
+    this.say("");
+    if (this.stage !== "play") this.show(this.asked());
     else if (this.open) this.dialog.close();
   }
 
-  showHelp() { this.show(this.help); }
+  /** The cards of what the session waits for. */
+  asked() { return { consent: ["consent", ...this.help], questions: ["questions"], end: ["end"] }[this.stage]; }
+
+  showHelp() { if (this.stage === "play" && this.help) this.show(this.help); }
 
   show(cards) {
     Object.assign(this, { cards, place: 0 });
-    this.dialog.querySelectorAll(".done").forEach((one) => one.classList.remove("done"));
+    this.dialog.querySelectorAll("[data-try]").forEach((button) => this.tried(button, false));
     if (!this.open) this.dialog.showModal();
     this.showCard();
+    this.changed();
+  }
+
+  /** What the session waits for comes back: browsers let Escape close it when pressed again. */
+  closed() {
+    if (this.stage !== "play") this.dialog.showModal();
     this.changed();
   }
 
@@ -101,27 +115,42 @@ export class Guide {
     title.focus();
   }
 
+  /** Whether there is a connection: without one nothing can be sent. */
+  connect(connected) {
+    this.connected = connected;
+    this.showButtons();
+  }
+
   showButtons() {
     const last = this.place === this.cards.length - 1;
     const next = element("guide-next");
     element("guide-back").hidden = this.place === 0;
     next.hidden = this.card === "end";
-    next.textContent = !last ? "Next" : { ready: this.isHelp ? "Close" : "Begin", questions: "Send" }[this.card];
-    const missing = this.questions.filter((row) => !row.classList.contains("given")).length;
-    next.disabled = { consent: !element("agree").checked, questions: missing > 0 }[this.card] ?? false;
+    next.textContent = !last ? "Next" : { ready: this.stage === "play" ? "Close" : "Begin", questions: "Send" }[this.card];
+    next.disabled = !this.mayTurn();
+    const { missing } = this;
     element("missing").textContent = missing ? `Not answered yet: ${missing}` : "";
   }
 
+  get missing() { return this.questions.filter((row) => !row.classList.contains("given")).length; }
+
+  mayTurn() {
+    if (this.stage !== "play" && !this.connected) return false;
+    if (this.stage === "consent" && !element("agree").checked) return false;
+    return this.card !== "questions" || !this.missing;
+  }
+
   turn(by) {
-    this.place += by;
-    if (this.place < this.cards.length) this.showCard();
-    else this.finish();
+    if (by > 0 && !this.mayTurn()) return;
+    if (this.place + by < this.cards.length) {
+      this.place += by;
+      this.showCard();
+    } else this.finish();
   }
 
   /** The last card's button: what the person was asked for goes to the server. */
   finish() {
-    this.place = this.cards.length - 1;
-    if (this.isHelp) this.dialog.close();
+    if (this.stage === "play") this.dialog.close();
     else if (this.stage === "consent") this.send({ type: "consent" });
     else if (this.stage === "questions") {
       const answers = this.questions.map((row) => row.querySelector("input").valueAsNumber);
@@ -129,8 +158,22 @@ export class Guide {
     }
   }
 
+  /** Says what went wrong, within the dialog: what is behind it cannot be read. */
+  say(text) {
+    element("guide-alert").hidden = !text;
+    element("guide-alert").textContent = text;
+  }
+
   /** A key that a card asks to try; nothing is sent. */
-  tryKey(key) {
-    this.dialog.querySelectorAll(`[data-card="${this.card}"] [data-try="${key}"]`).forEach((button) => button.classList.add("done"));
+  tryKey(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const wanted = `[data-card="${this.card}"] [data-try="${CSS.escape(keyName(event))}"]`;
+    this.dialog.querySelectorAll(wanted).forEach((button) => this.tried(button));
+  }
+
+  tried(button, done = true) {
+    const told = button.nextElementSibling;
+    told.classList.toggle("done", done);
+    told.textContent = done ? "✓ That is it." : "Try it now.";
   }
 }

@@ -284,7 +284,7 @@ const jointActions = JOINTS.flatMap((joint) => [["plus", 1], ["minus", -1]].map(
 const controls = createControls({
   danger: {
     press: () => sendSeen({ type: "danger", down: true }),
-    release: () => sendSeen({ type: "danger", down: false }),
+    release: () => { if (state.status.stage === "play") sendSeen({ type: "danger", down: false }); },
   },
   // With a release, if an empty one, it counts when the pointer goes down.
   safe: { press: () => sendSeen({ type: "safe" }), release: () => {} },
@@ -292,7 +292,7 @@ const controls = createControls({
   take: { press: toggleTake },
   assist: {
     press: () => send({ type: "assist", on: true }),
-    release: () => send({ type: "assist", on: false }),
+    release: () => { if (state.status.stage === "play") send({ type: "assist", on: false }); },
   },
   pause: { press: togglePause },
   step: { press: () => send({ type: "step" }) },
@@ -313,6 +313,7 @@ const guide = new Guide(send, () => {
 
 /** Shows what to do, while the clock stands. */
 function showHelp() {
+  if (guide.open) return;
   stoppedForHelp = !state.status.paused && state.role === "controller";
   if (stoppedForHelp) togglePause();
   guide.showHelp();
@@ -341,8 +342,10 @@ function allow() {
   const walking = taking || (state.taken ? "" : "Take over first (T).");
   const clock = state.hello?.mode === "watch" && !guide.open && state.connected && state.role === "controller" ? "" : judging;
   const reasons = { danger: judging, safe: judging, undo: judging, take: taking, assist: walking };
-  Object.assign(reasons, { pause: clock, slower: clock, faster: clock });
-  reasons.step = clock || (state.status.paused ? "" : "Pause first (Space).");
+  const pace = clock || (state.hello?.guide ? "This session is played in real time." : "");
+  Object.assign(reasons, { pause: clock, slower: pace, faster: pace });
+  reasons.help = state.hello?.mode === "watch" || state.role !== "controller" ? "In this window nobody judges." : "";
+  reasons.step = pace || (state.status.paused ? "" : "Pause first (Space).");
   jointActions.forEach(([name]) => { reasons[name] = walking; });
   const text = JSON.stringify(reasons);
   if (text === state.reason) return;
@@ -368,6 +371,7 @@ let fading = 0;
 /** Shows an error over the scene for some seconds. */
 function complain(text, seconds = 6) {
   clearTimeout(fading);
+  if (guide.open) guide.say(text);
   element("message").hidden = false;
   write("message", text);
   if (seconds) fading = setTimeout(() => { element("message").hidden = true; }, 1000 * seconds);
@@ -397,6 +401,7 @@ function beep() {
 
 function showConnection(value, text) {
   state.connected = value === "connected";
+  guide.connect(state.connected);
   root.dataset.connection = value;
   writeState("connection", value, text);
   allow();
@@ -413,6 +418,7 @@ function connect(attempt = 0) {
     if (message.type === "hello") {
       failures = 0;
       element("message").hidden = true;
+      guide.say("");
       showConnection("connected", "connected");
     }
     listeners[message.type]?.(message);
@@ -420,7 +426,7 @@ function connect(attempt = 0) {
   socket.addEventListener("close", (event) => {
     setTaken(false);
     showRequest(null);
-    if (guide.stage === "end") showConnection("closed", "closed");
+    if (state.status.stage === "end") showConnection("closed", "closed");
     else if (event.code === 1008 || event.code >= 4000) refused(event.reason);
     else reconnect(failures);
   });
