@@ -222,13 +222,18 @@ def scripts(tmp_path):
 
 def test_modules_beside_the_script_are_found(scripts):
     mine, elsewhere = scripts
+    assert _run(["../mine/play.py"], elsewhere) == ("[[7.]]", "")
+    assert _run(["guarded.py"], mine) == ("[[7.]]", "")
+
+
+@pytest.mark.slow
+def test_modules_are_found_from_wherever_python_is_started(scripts):
+    mine, elsewhere = scripts
     play = _PLAY.format(env_id="mine_envs:Mine-v0")
     assert _run(["play.py"], mine) == ("[[7.]]", "")
-    assert _run(["../mine/play.py"], elsewhere) == ("[[7.]]", "")
     assert _run(["-m", "play"], mine) == ("[[7.]]", "")
     assert _run(["-c", play], mine) == ("[[7.]]", "")  # as in a notebook
     assert _run(["-c", f"import sys; sys.path.append('../mine'){play}"], elsewhere)[0] == "[[7.]]"
-    assert _run(["guarded.py"], mine) == ("[[7.]]", "")
     assert _run(["-c", _PLAY.format(env_id="twice:Mine-v0")], mine)[0] == "[[7.]]"
 
 

@@ -124,6 +124,7 @@ def test_proxy_values_are_refused_beside_a_reward():
         agents.validate(agent, Hyper(reward_weight=0.0, extra={BOUND: -1.0}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("learner", LEARNERS)
 def test_the_actor_comes_to_do_what_the_human_did(learner):
     """In the states in which the human acted, and there alone, with a pull beside the value."""

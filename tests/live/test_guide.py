@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import json
 
+import numpy as np
 import pytest
 import small
 import tyro
@@ -16,6 +17,7 @@ from hitl_jax.live import journal, messages
 from hitl_jax.live.begin import setup_of as setup_from
 from hitl_jax.live.guide import SCALES, Guide, GuideOptions, agreement, require_same
 from hitl_jax.live.options import LiveOptions
+from hitl_jax.live.participants import Participant, csv_table, report
 from hitl_jax.live.session import Session
 
 _ANSWERS = [0, 20, 40, 60, 80, 100]
@@ -131,6 +133,7 @@ def _play(options, path, tolerance, answers=None):
     noted.close()
 
 
+@pytest.mark.slow
 def test_several_people_become_one_table_beside_simulated_humans(options, tmp_path, capsys):
     _play(options, tmp_path / "anna.jsonl", 0.2, _ANSWERS)
     _play(options, tmp_path / "ben.jsonl", 9.0)
@@ -150,6 +153,24 @@ def test_several_people_become_one_table_beside_simulated_humans(options, tmp_pa
     assert 149 - 16 <= float(ben["minutes"]) * 3000 <= 150  # Steps after a journal's end are lost.
     assert said.endswith((tmp_path / "participants.md").read_text())
     assert "| anna |" in said
+
+
+def test_the_table_has_a_line_for_each_human_and_nothing_where_there_is_none():
+    nan = float("nan")
+    anna = Participant(
+        *("a|b", 5.0, 3, 2, -80.5, 0.25, 40, 0.5, 12.0, 0.31, 10, 0.125, 50.0),
+        answers=tuple(map(float, _ANSWERS)),
+    )
+    idle = Participant("ben", 0.1, 0, 0, nan, 0.0, 0, nan, 0.0, nan, nan, nan, nan, (nan,) * 6)
+    _, _, first, second = report([anna, idle]).splitlines()
+    assert first == (
+        r"| a\|b | 5.0 | 3 | 2 | -80 | 25.0% | 40 | 50% | 12 | 0.31 | 0.20 | 12.5% | 50 |"
+    )
+    assert second == "| ben | 0.1 | 0 | 0 |  | 0.0% | 0 |  | 0 |  |  |  |  |"
+    columns = csv_table([anna, idle])
+    assert [columns[name][0] for name in SCALES] == _ANSWERS
+    assert np.isnan(columns["workload"][1])
+    assert next(iter(columns)) == "name" and "answers" not in columns
 
 
 def test_sessions_that_began_otherwise_are_not_compared(options, tmp_path, capsys):

@@ -107,7 +107,7 @@ def test_learns_a_policy_of_known_value(learner, layer_norm, precision):
 
 # The two endings stand next to each other, since they share a compiled program.
 @pytest.mark.parametrize(("ending", "last"), [("terminated", 1.0), ("truncated", 2.0)])
-@pytest.mark.parametrize("n_step", [1, 3])
+@pytest.mark.parametrize("n_step", [3, pytest.param(1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("learner", LEARNERS)
 def test_bootstraps_through_time_limits_and_not_through_ends(learner, n_step, ending, last):
     """Two steps of reward 1, γ = 1/2, then an ending in a state of value 2.

@@ -55,6 +55,7 @@ def test_snapshots_that_fall_due_in_one_chunk_are_all_kept():
     assert [snapshot.episode for snapshot in run.run.snapshots] == [1, 2, 3, 4]
 
 
+@pytest.mark.slow
 def test_nothing_is_compiled_again():
     compiled = []
 
