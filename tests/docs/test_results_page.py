@@ -12,6 +12,7 @@ _KEPT = (
     "fading",
     "ten_seeds",
     "paper",
+    "thousand",
     "lunar_lander",
     "one_hour",
     "one_hour_xeon",
