@@ -100,6 +100,11 @@ def agreed(lines: Iterable[dict[str, Any]]) -> dict[str, Any] | None:
     return next((one for one in said if one["type"] == "consent"), None)
 
 
+def was_played(lines: Iterable[dict[str, Any]]) -> bool:
+    """Whether a journal's session went beyond its first frame."""
+    return any(line["at"] > 0 for line in lines)
+
+
 def require_same(
     path: pathlib.Path, lines: Sequence[dict[str, Any]], options: GuideOptions | None
 ) -> None:
@@ -116,7 +121,7 @@ def require_same(
     has = agreed(lines)
     if any(line.get("said", {}).get("type") == "questionnaire" for line in lines):
         raise ResultsError(f"{path}: its session has ended: name another journal")
-    if lines and (has is None) != (options is None):
+    if was_played(lines) and (has is None) != (options is None):
         guided = "is not guided" if has is None else "is guided"
         raise ResultsError(f"{path}: its session {guided}, asked for otherwise: name another")
     if has is not None and options is not None:

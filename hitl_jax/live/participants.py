@@ -16,7 +16,7 @@ from hitl_jax.errors import ResultsError
 from hitl_jax.evaluation.trials import frozen
 from hitl_jax.live import journal
 from hitl_jax.live.begin import first_difference, setup_of
-from hitl_jax.live.guide import SCALES, agreed
+from hitl_jax.live.guide import SCALES, agreed, was_played
 from hitl_jax.live.options import LiveOptions
 from hitl_jax.live.pacing import RATE
 from hitl_jax.live.recorded_person import (
@@ -103,7 +103,7 @@ def read(
     found = {}
     for path in sorted(folder.glob("*.jsonl")):
         begun = journal.read(path) if path.stat().st_size else ({}, [])
-        if begun[1]:
+        if was_played(begun[1]):
             found[path] = begun
         else:
             say(f"{path}: nothing was played; it is left out")

@@ -178,7 +178,7 @@ def test_sessions_that_began_otherwise_are_not_compared(options, tmp_path, capsy
         noted = journal.Journal(tmp_path / f"{name}.jsonl")
         noted.begin({**options.header(), "seed": seed})
         said = agreement(options.guide._replace(asks=asks))
-        noted._add({"at": 0, "said": said, "time": 0.0})
+        noted._add({"at": 1, "said": said, "time": 0.0})
         noted.close()
 
     def refused():
@@ -210,18 +210,21 @@ def test_a_session_goes_on_as_it_was_agreed(options, changes, lines, said, tmp_p
     consent = agreement(options.guide)
     noted = {"consent": [consent], "danger": [{"type": "danger"}]}
     noted["questionnaire"] = [consent, {"type": "questionnaire"}]
-    lines = [{"at": 0, "said": one} for one in noted[lines]]
+    lines = [{"at": 1, "said": one} for one in noted[lines]]
     guide = None if changes is None else options.guide._replace(**changes)
     with pytest.raises(ResultsError, match=said):
         require_same(tmp_path, lines, guide)
     require_same(tmp_path, [], guide)
-    require_same(tmp_path, [{"at": 0, "said": consent}], options.guide)
+    require_same(tmp_path, [{"at": 1, "said": consent}], options.guide)
+    # Whoever closes the page before they agree is noted as gone, and may come again.
+    require_same(tmp_path, [{"at": 0, "said": {"type": "gone", "frame": 0}}], guide)
 
 
 def test_what_nobody_played_is_left_out(options, tmp_path, capsys):
     (tmp_path / "empty.jsonl").write_text("")
     noted = journal.Journal(tmp_path / "begun.jsonl")
     noted.begin(options.header())
+    noted._add({"at": 0, "said": {"type": "gone", "frame": 0}, "time": 0.0})
     noted.close()
     assert run_main("participants", participants.main, [str(tmp_path)]) == 2
     told = capsys.readouterr()
