@@ -181,6 +181,7 @@ def test_a_hull_that_touches_an_obstacle_has_fallen(official):
     assert 0 < sum(ends) < LANES
 
 
+@pytest.mark.slow
 def test_the_pools_hardcore_episodes_follow_from_their_seeds():
     seeds = np.arange(3, dtype=np.uint32)
     action = np.zeros((3, 4), np.float32)
