@@ -23,10 +23,14 @@ from hitl_jax.training.run_spec import LoopConfig
 
 MODES = ("train", "test", "watch")
 _HANDS = ("human_actions", "release")
-_LONGEST = 2000
-_GUIDED = ("consent", "guided_steps")
 _CONTROL = ("takeover_steps", "release_share")
 """What the simulated human does with the controls, and until when."""
+
+_GUIDED = ("consent", "guided_steps")
+"""Options of a guided session."""
+
+_LONGEST = 2000
+"""Of what a person agrees to [characters]."""
 
 _LIVE = changed(PAPER | {"learner": AgentConfig().learner, "intervention": "takeover"})
 """A person looks at one boundary, which line 8 moves, and may take the controls."""

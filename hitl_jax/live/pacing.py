@@ -54,7 +54,7 @@ class PacedSession:
         self._guide = Guide(options.guide, said)
         self._paused = False
         self._why_paused: str | None = None
-        self._away, self._left_at = True, -COME_BACK_SECONDS
+        self._away, self._left_at = True, _clock()
         self._silence = SilenceTimer(options.silence_seconds)
         self._steps_due = 0
         self._speed: float | None = 1.0
